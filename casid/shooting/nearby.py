@@ -26,6 +26,7 @@ LOG = logging.getLogger("casid")
 
 SETS = 30  # of bounds that may hold, tried before IPOPT is asked
 FALLS = 0.5  # share of the optimality error that two steps near the solution leave, at most
+PRICED = 1e-10  # multiplier of a bound that holds, at least
 CHEAP = 1e-2  # of the tolerance: bounds that cost little are to be reached too
 # What IPOPT is asked for where ties hold a step.
 QUADRATIC = {"tol": 1e-13, "compl_inf_tol": 1e-13, "acceptable_tol": 1e-11}
@@ -87,7 +88,9 @@ class Iterate:
         slopes = (
             programme.gradient(self.x) + programme.constraint_matrix(self.x).T @ self.constraints
         )
-        free = self.bounds[:nf] == 0
+        free = np.abs(self.bounds[:nf]) < PRICED
+        if not free.any():
+            return 0.0
         g = programme.n * (slopes[:nf] + follow[: len(slopes) - nf, :nf].T @ slopes[nf:])[free]
         d, failed = dposv(F[:-1, :-1][np.ix_(free, free)], g)[1:]
         return np.inf if failed else float(g @ d) / 2

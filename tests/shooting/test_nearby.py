@@ -36,7 +36,8 @@ def test_neighbours_are_predicted_exactly_where_outputs_are_linear_in_the_parame
     programme, point = starting_programme(evaluator, free, R, True)
     start = programme.pack(point)
     start[: evaluator.nf] *= 1.5
-    guess, (bounds, prices) = predicted(programme, start, 1, SolverOptions())
+    at = predicted(programme, Iterate.of(programme, start), 1, SolverOptions())
+    guess, bounds, prices = at.x, at.bounds, at.constraints
     slopes = programme.gradient(guess) + bounds + programme.constraint_matrix(guess).T @ prices
     # IPOPT stops where the error of the optimality conditions is below its tolerance of 1e-8; the
     # gaps close to rounding through six intervals.
@@ -82,15 +83,16 @@ def beside(truth, bounds):
     free = free_parameters(truth, fixed={"Lped", "tau"}, bounds=bounds)
     records, R = [flown(truth, seed=1).between(0, 6)], np.diag([0.05, 0.005, 0.005]) ** 2
     programme, point = starting_programme(Evaluator(free, lay_out(records, 3.0)), free, R, True)
-    return programme, predicted(programme, programme.pack(point), 3, SolverOptions())
+    at = Iterate.of(programme, programme.pack(point))
+    return programme, predicted(programme, at, 3, SolverOptions())
 
 
 @pytest.mark.parametrize("truth", [TRUTH, Tied()])
 def test_quadratic_models_lead_to_the_tolerance_with_bounds_that_hold_and_others(truth):
     told = []
     options = SolverOptions(tolerance=1e-11, progress=told.append)
-    programme, (x, multipliers) = beside(truth, {"Lp": (-1.9, 0.0), "Lv": (-5.0, 5.0)})
-    found = followed(programme, x, multipliers, options, "here")
+    programme, at = beside(truth, {"Lp": (-1.9, 0.0), "Lv": (-5.0, 5.0)})
+    found = followed(programme, at, options, "here")
     assert found.success
     assert found.status == "solved by quadratic models"
     assert [each.iteration for each in told] == list(range(found.iterations + 1))
@@ -105,19 +107,19 @@ def test_quadratic_models_lead_to_the_tolerance_with_bounds_that_hold_and_others
 
 
 def test_quadratic_models_are_given_up_where_they_do_not_lead_to_the_solution():
-    programme, (x, multipliers) = beside(TRUTH, {"Lp": (-1.9, 0.0)})
+    programme, at = beside(TRUTH, {"Lp": (-1.9, 0.0)})
     options = SolverOptions(tolerance=1e-11)
-    away = x.copy()
+    away = at.x.copy()
     away[programme.free.names.index("Lv")] *= -20  # diverges within an interval
-    assert followed(programme, away, multipliers, options, "away") is None
+    assert followed(programme, replace(at, x=away), options, "away") is None
     few, late = replace(options, max_iterations=1), replace(options, max_seconds=1e-9)
-    assert followed(programme, x, multipliers, few, "few") is None
-    assert followed(programme, x, multipliers, late, "late") is None
+    assert followed(programme, at, few, "few") is None
+    assert followed(programme, at, late, "late") is None
 
 
 def test_the_error_of_the_optimality_conditions_knows_what_each_of_them_misses():
-    programme, (x, multipliers) = beside(TRUTH, {"Lp": (-1.9, 0.0)})
-    found = followed(programme, x, multipliers, SolverOptions(tolerance=1e-11), "here")
+    programme, at = beside(TRUTH, {"Lp": (-1.9, 0.0)})
+    found = followed(programme, at, SolverOptions(tolerance=1e-11), "here")
     good = Iterate(found.x, found.multipliers_x, found.multipliers_g)
     programme = programme.roomier(ROOM)
     assert good.error(programme) <= 1e-11
@@ -131,3 +133,39 @@ def test_the_error_of_the_optimality_conditions_knows_what_each_of_them_misses()
     assert good.error(loose) == pytest.approx(far, rel=1e-6)
     assert replace(good, x=found.x - 0.5 * unit).error(programme) >= 0.5  # beyond the bound
     assert replace(good, constraints=good.constraints + 1e-3).error(programme) >= 1e-3
+
+
+def test_costates_leave_the_nodes_no_slope_but_those_that_begin_a_record():
+    free = free_parameters(TRUTH, fixed={"Lped", "tau"})
+    records, R = [flown(TRUTH, seed=k).between(0, 5) for k in (1, 2)], np.diag([0.1, 0.01, 0.01])
+    programme, point = starting_programme(Evaluator(free, lay_out(records, 1.0)), free, R, True)
+    x = programme.pack(point)
+    at = Iterate.of(programme, x)
+    slopes = programme.gradient(x) + programme.constraint_matrix(x).T @ at.constraints
+    nodes = slopes[programme.first_node :].reshape(programme.J, -1)
+    np.testing.assert_allclose(nodes[programme.links + 1], 0, atol=1e-12)
+    first = np.setdiff1d(np.arange(programme.J), programme.links + 1)
+    assert len(first) == 2
+    assert (np.abs(nodes[first]).max(axis=1) > 1e-3).all()
+    assert not at.bounds.any()
+
+
+def test_what_is_left_to_gain_is_what_the_next_step_lowers_the_cost_by():
+    options = SolverOptions(tolerance=1e-11)
+    programme, at = beside(TRUTH, {"Lp": (-1.9, 0.0)})
+    found = followed(programme, at, options, "here")
+    good = Iterate(found.x, found.multipliers_x, found.multipliers_g)
+    assert good.left(programme) == np.inf  # no model tells
+    programme = programme.roomier(ROOM)
+    near = good.moved(programme, options)
+    assert near.left(programme) < 1e-12
+    for name in ("Lv", "Yv"):  # a step, all that follows it as well
+        step = np.zeros(programme.evaluator.nf + 1)
+        step[programme.free.names.index(name)] = 1e-3
+        change = np.append(step[:-1], near.model[1] @ step)
+        x = found.x + change[: len(found.x)]
+        prices = near.constraints + change[len(change) - len(near.constraints) :] / programme.n
+        values = programme.values(x)  # the gaps are closed to first order
+        fallen = programme.n * (values.cost + found.multipliers_g @ values.g - found.f)
+        moved = replace(near, x=x, constraints=prices)
+        assert moved.left(programme) == pytest.approx(fallen, rel=0.01)

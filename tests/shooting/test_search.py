@@ -10,9 +10,10 @@ from benchmarks.turbulence import cases, fly
 from casid import SolverOptions
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
+from casid.shooting.nearby import Iterate
 from casid.shooting.output_error import OutputError, output_error
 from casid.shooting.reduced import STATED
-from casid.shooting.search import Search
+from casid.shooting.search import Search, _leads_back
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -47,7 +48,7 @@ def test_a_neighbour_of_more_records_shortens_the_way_too():
     np.testing.assert_allclose(warm.biases, cold.biases, atol=1e-5)
 
 
-def test_a_stretch_leads_back_by_its_own_delay_and_not_by_others_that_press_on_theirs(monkeypatch):
+def test_a_stretch_leads_back_by_its_own_delay_and_not_by_others_that_press_on_theirs():
     model, R = replace(TRUTH, tau=0.061), np.diag([0.05, 0.005, 0.005]) ** 2
     wide = free_parameters(model)
     programme, point = starting_programme(
@@ -64,8 +65,7 @@ def test_a_stretch_leads_back_by_its_own_delay_and_not_by_others_that_press_on_t
         there[[a, other]] = (low + high)[[a, other]] / 2
         there[pressing] = high[pressing]
         prices[pressing] = 10 / ((high - low)[pressing] * programme.n)
-        monkeypatch.setattr("casid.shooting.search.predicted", lambda *_: (there, (prices, 0)))
-        return Search(wide, SolverOptions())._leads_back(inside, x, a)
+        return _leads_back(inside, x, Iterate(there, prices, np.zeros(0)), a)
 
     assert leads_back(a)
     assert not leads_back(other)
