@@ -12,9 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.flightpath import LATE
-from casid.consistency.instruments import Instruments
+from casid.consistency.instruments import CLOCKS, OWN, Instruments
+from casid.consistency.rigid import clock_of
 from casid.consistency.voting import SKEW, Late, apart, shared, significant
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
@@ -39,7 +41,7 @@ class Apart:
     """
 
     late: Mapping[str, Late] = field(default_factory=dict)
-    against: tuple[str, ...] = ()  # kinds of channels that agree
+    against: tuple[str, ...] = ()  # kinds of channels that agree, attitudes by name if some moved
     left: Mapping[str, Late] = field(default_factory=dict)
 
     @property
@@ -71,19 +73,24 @@ def _all_of(kinds: Sequence[str]) -> str:
 
 
 def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
-    """Which of attitudes and velocities is odd, of instruments whose skews are ``told``."""
+    """Which of attitudes and velocities is odd, of instruments whose skews are ``told``.
+
+    Attitudes are taken for one source with one clock unless the records say otherwise.
+    """
     rows = [i for i, name in enumerate(found.channels) if name in told]
     skews = {
         found.channels[i]: (float(found.unknowns[i, 1]), float(found.errors[i, 1])) for i in rows
     }
-    references = [tuple(n for n in group if n in found.left) for group in (ATTITUDES, VELOCITIES)]
-    if not references[1]:
+    late, C, references = _clocks(found)
+    if len(references) < 2:
         return Apart(left=skews)
     names = [*((name,) for name in skews), *references]
-    W = np.zeros((len(names), len(found.channels) + 1))  # against the clock of attitudes
+    W = np.zeros((len(names), len(late)))  # against the clock of φ
     W[range(len(rows)), rows] = 1.0
-    W[:, -1] = [name in (*FORCES, *VELOCITIES) for name, *_ in names]
-    late, C = W @ [*found.unknowns[:, 1], found.clock[0]], W @ found.covariance @ W.T
+    for k, (name, *_) in enumerate(names):
+        if clock := clock_of(_reference(found, name)):
+            W[k, len(found.channels) + CLOCKS.index(clock)] = 1.0
+    late, C = W @ late, W @ C @ W.T
     kinds = [KINDS[name] for name, *_ in names]
     sure = np.sqrt(np.diag(C)) <= SKEW
     voting = [kind for kind, one in zip(kinds, sure, strict=True) if one]
@@ -99,7 +106,26 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
     left = {
         name: apart(late, C, [k], [i for i in right if i != k] or [k])
         for k, name in enumerate(skews)
-        if (ATTITUDES if name in RATES else VELOCITIES)[0] in moved
+        if _reference(found, name) in moved
     }
-    against = dict.fromkeys(kinds[i] for i in right)
+    parted = {*ATTITUDES} & {*moved}  # of which some stay: by name
+    against = dict.fromkeys(
+        names[i][0] if parted and kinds[i] == "attitudes" else kinds[i] for i in right
+    )
     return Apart(late=moved, against=tuple(against), left=skews | left)
+
+
+def _clocks(found: Instruments) -> tuple[Array, Array, list[tuple[str, ...]]]:
+    """Skews and clocks, their covariance, and the attitudes and velocities that share one."""
+    angles, speeds = (
+        tuple(name for name in group if name in found.left) for group in (ATTITUDES, VELOCITIES)
+    )
+    late, C = np.append(found.unknowns[:, 1], found.clocks), found.covariance
+    references = [(name,) for name in angles] if found.parted else [angles]
+    return late, C, [*references, *([speeds] if speeds else [])]
+
+
+def _reference(found: Instruments, name: str) -> str:
+    """What a channel is late against, or itself: φ, where what it turns is not recorded."""
+    own = OWN.get(name, name)
+    return own if own in found.left else "phi"

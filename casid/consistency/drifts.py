@@ -15,9 +15,9 @@ import scipy
 from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, VELOCITIES
 from casid.consistency.apart import known
-from casid.consistency.flightpath import reconstruct_level
 from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight, read_later
+from casid.consistency.parting import reconstruct_level
 from casid.consistency.voting import SKEW, Late, apart, shared
 
 ROUNDS = 3  # of setting clocks right
@@ -79,13 +79,15 @@ def _less_certain(found: Instruments, drifts: Drifts, flights: Sequence[Flight])
     off = []  # of all skews and of the velocities' clock, by each clock that drifts
     for one in dict.fromkeys(drifts.late.values()):
         names = {name for name, each in drifts.late.items() if each == one}
-        pairs = [*((name, OWN[name]) for name in found.channels), ("u", "phi")]
+        pairs = [*((name, OWN[name]) for name in found.channels)]
+        pairs += [(one, "phi") for one in ("theta", "psi", "u")]
         off.append([middle * one[1] * ((a in names) - (b in names)) for a, b in pairs])
     by = np.linalg.norm(off, axis=0)
     return replace(
         found,
-        errors=np.hypot(found.errors, np.array([[0.0, each] for each in by[:-1]])),
-        clock=(found.clock[0], float(np.hypot(found.clock[1], by[-1]))),
+        errors=np.hypot(
+            found.errors, np.array([[0.0, each] for each in by[: len(found.channels)]])
+        ),
         covariance=found.covariance + np.transpose(off) @ off,
     )
 

@@ -7,11 +7,13 @@
 V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
 R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
 force is taken as measured(t) = (1 + scale) true(t − skew) + bias, attitudes and velocities as right
-but for noise and, velocities, for a clock of their own: what a navigation filter or air data delay.
-All terms of an equation are taken at the time of what they are compared with: a rate in r v − q w
-too, where u times a late q would be read as an accelerometer's place. Scale and skew are one for
-all records. Biases are constant over a record and of its own: instruments drift from flight to
-flight, and trim is subtracted record by record.
+but for noise and for clocks: velocities and, where flights tell it (`casid.consistency.parting`), θ
+and ψ may be late against φ, as what one of several sources delays. A skew is against what the
+channel turns or moves; all terms of an equation are taken at the time of what they are compared
+with (`casid.consistency.rigid.Sides`): a late θ in φ' would be read as a skew of q, u times a late
+q as an accelerometer's place. Scale and skew are one for all records. Biases are constant over a
+record and of its own: instruments drift from flight to flight, and trim is subtracted record by
+record.
 
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
@@ -30,13 +32,13 @@ import scipy
 from numpy.typing import NDArray
 
 from casid.arrays import Array
-from casid.channels import FORCES, RATES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.innovations import growing, innovations, integral, steady_gain
-from casid.consistency.instruments import OWN, Instruments
+from casid.consistency.instruments import CLOCKS, OWN, Instruments
 from casid.consistency.limits import Beside, Limit, Whitened, beside, cut_off, judged, standing
-from casid.consistency.measured import Flight, read_later, white_noise
+from casid.consistency.measured import Flight, white_noise
 from casid.consistency.pretended import Corrected, Eliminated, Normal
-from casid.consistency.rigid import Moved, Terms, lever_of, terms_of
+from casid.consistency.rigid import TURNED, Sides, Terms, terms_of
 
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
@@ -44,34 +46,42 @@ CORRECTIONS, DRAWS = 5, 2  # last iterations, without what noise pretends, and i
 SETTLED = 1e-3  # of gains and skews [s]
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
-COMMON = 4  # unknowns of no channel: the velocities' clock, the accelerometers' place
+PLACED = len(CLOCKS)  # of the unknowns of no channel those before the accelerometers' place
+COMMON = PLACED + 3
 GROUPS = (RATES, FORCES)
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
+HELD = 1e-6  # s: the same of attitudes that share one clock
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
-TILT = 0.1  # rad: what an unknown pitch attitude may be
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
 
 Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unknowns (1 + own, N)
 
 
-def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
+def reconstruct(
+    flights: Sequence[Flight], equations: Sequence[str], *, parted: bool = False
+) -> Instruments:
     """Gain, bias and skew of each rate and specific force by Gauss-Newton steps.
 
     Between the steps the filters' gains and the weights of the ``equations`` (named by attitude or
-    velocity) are fitted.
+    velocity) are fitted. Attitudes have one clock unless they are ``parted``.
     """
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
-    reach = np.concatenate([np.tile(PRIOR, n), PRIOR[1:], np.full(3, FAR_OFF)])
+    free = np.concatenate([np.tile(PRIOR, n), np.full(PLACED, PRIOR[1]), np.full(3, FAR_OFF)])
+    attitudes, reach = slice(2 * n, 2 * n + PLACED - 1), free.copy()
+    if not parted:
+        reach[attitudes] = HELD
     x, biases, blocks, corrected, step = _solved(problem, reach)
     parts = problem.whitened(blocks)
-    flown = problem.normal(parts)[1]
+    plain, flown = problem.normal(parts)
     pairs = [(one, problem.scores(parts, k)) for k, one in enumerate(flown)]
     scores = np.concatenate([one.scores(whole) for one, whole in pairs])
+    loose = Corrected(plain + Normal(np.diag(free**-2.0), np.zeros(len(free))), plain * 0.0)
     P = corrected.covariance(scores, reach) + np.diag(step**2)
     errors = np.sqrt(np.diag(P))
-    late, clock = [*range(1, 2 * n, 2), 2 * n], 2 * n
+    clock = 2 * n
+    late = [*range(1, clock, 2), *range(clock, clock + PLACED)]
     return Instruments(
         channels=problem.channels,
         unknowns=x[:clock].reshape(n, 2),
@@ -80,11 +90,14 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         bias_errors=np.sqrt([one.variances(whole, P) for one, whole in pairs]),
         against=problem.against(),
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
-        clock=(float(x[clock]), float(errors[clock])),
+        clocks=x[clock : clock + PLACED],
         drawn=np.array([np.transpose([each.drawn(k) for each in flown]) for k in problem.clocks()]),
         covariance=P[np.ix_(late, late)],
         place=x[-3:],
         place_errors=errors[-3:],
+        parted=parted,
+        parting=float(np.abs(loose.step()[attitudes]).max()),
+        coupled=problem.coupled(x, biases, parts),
         limits=problem.limits(parts, x),
         drifts=problem.drifts(blocks, parts),
     )
@@ -99,7 +112,7 @@ def _solved(
     """
     n = len(problem.channels)
     start = np.append(np.tile([1.0, 0.0], n), np.zeros(COMMON))
-    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), 2 * n]
+    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), *range(2 * n, 2 * n + PLACED)]
     x, biases, pretended = start, np.zeros((problem.records, n)), None
     iteration = 0
     while True:
@@ -112,7 +125,7 @@ def _solved(
         seen = plain + Normal(np.diag(prior), prior * (start - x))
         corrected = Corrected(seen, pretended or plain * 0.0)
         step = corrected.step()
-        near = iteration > REGAIN[-1] and np.abs(step[: 2 * n + 1]).max() < SETTLED
+        near = iteration > REGAIN[-1] and np.abs(step[: 2 * n + PLACED]).max() < SETTLED
         if (near and pretended) or iteration == ITERATIONS + CORRECTIONS:
             break
         if pretended is None and (near or iteration == ITERATIONS):
@@ -128,19 +141,6 @@ def _solved(
     return x, biases, blocks, corrected, step
 
 
-def reconstruct_level(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
-    """The reconstruction; errors are wider where pitch attitude is neither recorded nor given."""
-    solution = reconstruct(flights, equations)
-    if not {"phi", "r"} <= {*flights[0].values} or any(
-        each.level.get("theta", TILT) for each in flights
-    ):
-        return solution
-    other = reconstruct([replace(each, level={"theta": TILT}) for each in flights], equations)
-    apart = np.hypot(solution.errors, other.unknowns - solution.unknowns)
-    biases_apart = np.hypot(solution.bias_errors, other.biases - solution.biases)
-    return replace(solution, errors=apart, bias_errors=biases_apart)
-
-
 class _Reconstruction:
     """Residuals of all equations over all flights, and the filters that whiten them."""
 
@@ -153,7 +153,7 @@ class _Reconstruction:
         found, self.of = np.unique([flight.record for flight in flights], return_inverse=True)
         self.records = len(found)
         self.splines = []  # cubic pieces between samples, (4, N - 1) each
-        turned = ("phi", "theta") if {*VELOCITIES} & {*equations} else ()
+        turned = tuple(name for name in TURNED if name in flights[0].values)
         for flight in flights:
             y = np.column_stack([flight.values[name] for name in (*self.channels, *turned)])
             pieces = scipy.interpolate.CubicSpline(flight.t, y).c
@@ -180,25 +180,16 @@ class _Reconstruction:
         factors, n = self.terms[0][equation][0], len(self.channels)
         own = [i for i, name in enumerate(self.channels) if name in factors]
         found = [k for i in own for k in (2 * i, 2 * n + COMMON + i, 2 * i + 1)]
-        common = range(2 * n, 2 * n + COMMON) if equation in VELOCITIES else ()
+        common = range(2 * n, 2 * n + (COMMON if equation in VELOCITIES else PLACED))
         return np.array([*found, *common])
 
     def blocks(self, x: Array, biases: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""
-        n = 2 * len(self.channels)
-        shared, clock, place = x[:n].reshape(-1, 2), float(x[n]), x[n + 1 :]
         found = []
-        for flight, k, pieces, terms in zip(
-            self.flights, self.of, self.splines, self.terms, strict=True
-        ):
-            table = np.insert(shared, 1, biases[k], axis=1)
-            moved = self._moved(flight, pieces, table)
-            parts = {
-                each: self._derivative(terms[each], moved, table)
-                for each in self.equations
-                if each not in VELOCITIES
-            } | self._accelerations(flight, pieces, table, clock, place)
-            for each, (slopes, f) in parts.items():
+        for sides, k in zip(self._sides(x, biases), self.of, strict=True):
+            flight = sides.flight
+            for each in self.equations:
+                slopes, f = sides.of(each)
                 F = integral(np.array([f, *slopes]).T, flight.dt).T
                 F = F[:, flight.rows.get(each, slice(None))]
                 F[0] = flight.own(each) - F[0]
@@ -206,48 +197,27 @@ class _Reconstruction:
                 found.append((each, int(k), F))
         return found
 
-    def _moved(
-        self, flight: Flight, pieces: Mapping[str, Array], table: Array, clock: float = 0.0
-    ) -> Moved:
-        """Channels and their slopes at the instants of attitudes, or of velocities of a clock."""
-        return {
-            name: read_later(pieces[name], skew - clock if name in RATES else skew, flight.dt)
-            for name, skew in zip(self.channels, table[:, 2], strict=True)
-        }
-
-    def _accelerations(
-        self, flight: Flight, pieces: Mapping[str, Array], table: Array, clock: float, place: Array
-    ) -> dict[str, tuple[list[Array], Array]]:
-        """Slopes and right-hand sides of the equations of velocities, at the velocities' time."""
-        equations = [each for each in self.equations if each in VELOCITIES]
-        if not equations:
-            return {}
-        moved = self._moved(flight, pieces, table, clock)
-        true = {
-            name: (gain * moved[name][0] - bias, gain * moved[name][1])
-            for name, (gain, bias, _) in zip(self.channels, table, strict=True)
-        }
-        lever, found = lever_of(true), {}
-        turned = {name: read_later(pieces[name], -clock, flight.dt)[0] for name in ("phi", "theta")}
-        for each in equations:
-            factors, gravity = terms_of(each, flight, turned)
-            slopes, f = self._derivative((factors, gravity), moved, table)
-            arms = -lever[VELOCITIES.index(each)]
-            changes = [factors[name] * true[name][1] for name in RATES if name in factors]
-            later = -sum(changes, np.gradient(gravity, flight.dt))
-            found[each] = ([*slopes, later, *arms.T], f + arms @ place)
+    def _sides(self, x: Array, biases: Array) -> list[Sides]:
+        """Right-hand sides of every flight at these unknowns."""
+        n = 2 * len(self.channels)
+        shared, clocks, place = x[:n].reshape(-1, 2), x[n : n + PLACED], x[n + PLACED :]
+        found = []
+        for flight, k, pieces in zip(self.flights, self.of, self.splines, strict=True):
+            rows = zip(self.channels, np.insert(shared, 1, biases[k], axis=1), strict=True)
+            found.append(Sides(flight, pieces, dict(rows), self.equations, clocks, place))
         return found
 
-    def _derivative(self, terms: Terms, moved: Moved, table: Array) -> tuple[list[Array], Array]:
-        """Slopes of an equation's right-hand side by gains, biases and skews, and itself, (N,)."""
-        factors, f = terms
-        slopes = []
-        for name, (gain, bias, _) in zip(self.channels, table, strict=True):
-            if name in factors:
-                a, (m, rate) = factors[name], moved[name]
-                slopes += [a * m, -a, gain * a * rate]
-                f = f + a * (gain * m - bias)
-        return slopes, f
+    def coupled(self, x: Array, biases: Array, parts: Sequence[Block]) -> tuple[float, float]:
+        """How many times the coupling of attitudes is flown beside once, and its error."""
+        more = []
+        for sides in self._sides(x, biases):
+            for each in self.equations:
+                turns = sides.coupling(each) if each in ATTITUDES else np.zeros(len(sides.flight.t))
+                F = integral(turns[:, None], sides.flight.dt).T
+                F = F[:, sides.flight.rows.get(each, slice(None))]
+                more.append(self._whitened(each, F - F.mean()))
+        (value,), (scatter,) = beside(self._batched(parts), more, [(e, k) for e, k, _ in parts])
+        return float(value), float(np.linalg.norm(scatter))
 
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
         """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
@@ -354,10 +324,10 @@ class _Reconstruction:
         n, more = len(self.channels), []
         for i, (each, _, rows) in enumerate(blocks):
             flight, own = self.flights[i // len(self.equations)], self.columns[each]
-            late = (own == 2 * n) | (own < 2 * n) & (own % 2 == 1)
+            late = (own == 2 * n + PLACED - 1) | (own < 2 * n) & (own % 2 == 1)
             grows = growing(rows[1:][late], flight.dt * self.flights[0].step(each), flight.start)
             more.append(np.zeros((n + 1, rows.shape[1])))
-            more[-1][own[late] // 2] = self._whitened(each, grows)
+            more[-1][np.minimum(own[late] // 2, n)] = self._whitened(each, grows)
         return beside(self._batched(parts), more, [(each, k) for each, k, _ in blocks])
 
     def _beyond(

@@ -7,6 +7,7 @@ from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.limits import Beside, Limit
 
 OWN = dict(zip((*RATES, *FORCES), (*ATTITUDES, *VELOCITIES), strict=True))
+CLOCKS = ("theta", "psi", "velocities")  # that may differ from the one of φ
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -20,10 +21,15 @@ class Instruments:
     bias_errors: Array  # (records, channels)
     against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
-    clock: tuple[float, float]  # by how much velocities are later than attitudes [s], its error
+    clocks: Array  # (3,) by how much `CLOCKS` are later than φ [s]
     drawn: Array  # (2, 2, records): how far each draws skews of rates, forces [s], its least error
-    covariance: Array  # (channels + 1,) squared, of all skews and, last, of that clock [s^2]
+    covariance: Array  # (channels + 3,) squared, of all skews and, last, of these clocks [s^2]
     place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
     place_errors: Array  # (3,)
+    parted: bool  # whether θ and ψ have clocks of their own
+    parting: float  # how far apart the first step makes them, or would [s]
+    coupled: tuple[
+        float, float
+    ]  # how many times the coupling of attitudes is flown beside once, its error
     limits: dict[str, Limit]  # of sensors that were at one
-    drifts: Beside  # how fast each skew and, last, the clock grow [s/s], their scatter
+    drifts: Beside  # how fast each skew and, last, that of velocities grow [s/s], their scatter

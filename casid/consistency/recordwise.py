@@ -12,10 +12,10 @@ import scipy
 from casid.arrays import Array
 from casid.channels import FORCES, RATES
 from casid.consistency.apart import known
-from casid.consistency.flightpath import reconstruct_level
 from casid.consistency.further import unexplained
 from casid.consistency.instruments import Instruments
 from casid.consistency.measured import Flight
+from casid.consistency.parting import reconstruct_level
 from casid.consistency.voting import SKEW, mean
 
 LEVEL = 1e-4  # at which skews of records are called different

@@ -1,14 +1,18 @@
 """Kinematics of a rigid body: what rates and specific forces make of attitudes and velocities."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.channels import RATES, VELOCITIES
-from casid.consistency.measured import Flight
+from casid.consistency.instruments import CLOCKS, OWN
+from casid.consistency.measured import Flight, read_later
 
 GRAVITY = 9.80665  # m/s^2
+TURNED = ("phi", "theta")  # attitudes that stand in products
+TILT = 1e-5  # rad of a difference in place of a derivative
 
 Moved = Mapping[str, tuple[Array, Array]]  # channels and their slopes
 Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
@@ -47,3 +51,98 @@ def lever_of(moved: Moved) -> Array:
         [p * r - dq, q * r + dp, -(p**2 + q**2)],
     ]
     return np.moveaxis(np.array(rows), 1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Right-hand sides of kinematic equations, every term at the time of the left-hand side.
+
+    A channel is late by its skew against what it turns or moves, which is late by its own clock:
+    where an equation is of another clock, it is read at skew + clock − the equation's clock.
+    """
+
+    flight: Flight
+    pieces: Mapping[str, Array]  # splines of rates, forces and `TURNED`
+    table: Mapping[str, Array]  # gain, bias and skew of rates and forces
+    equations: Collection[str]
+    clocks: Array  # (3,) of `CLOCKS`, later than φ [s]
+    place: Array  # (3,) of the accelerometers [m]
+
+    def of(self, equation: str) -> tuple[list[Array], Array]:
+        """Slopes by gain, bias, skew of its channels, by clocks and place; the side (N,)."""
+        clock = self._clock(equation)
+        moved, turned = self._moved(clock), self._turned(clock)
+        angles, true = {name: x for name, (x, _) in turned.items()}, self._true(moved)
+        factors, _ = terms_of(equation, self.flight, angles)
+        slopes, later = [], {}
+        for name in (each for each in self.table if each in factors):
+            later[name] = factors[name] * true[name][1]
+            slopes += [factors[name] * moved[name][0], -factors[name], later[name]]
+        f = self._sum(equation, angles, true)
+        for name, (x, rate) in turned.items():
+            more, less = (
+                self._sum(equation, angles | {name: x + by}, true) for by in (TILT, -TILT)
+            )
+            later[name] = (more - less) / (2 * TILT) * rate
+        slopes += [self._later(equation, clock, later) for clock in CLOCKS]
+        if equation in VELOCITIES:
+            arms = -lever_of(true)[VELOCITIES.index(equation)]
+            return [*slopes, *arms.T], f + arms @ self.place
+        return slopes, f
+
+    def coupling(self, equation: str) -> Array:
+        """What the side of an attitude has beyond φ' = p, θ' = q, ψ' = r, (N,)."""
+        clock = self._clock(equation)
+        angles = {name: x for name, (x, _) in self._turned(clock).items()}
+        true = self._true(self._moved(clock))
+        level = dict.fromkeys(TURNED, np.zeros(len(self.flight.t)))
+        return self._sum(equation, angles, true) - self._sum(equation, level, true)
+
+    def _moved(self, clock: float) -> Moved:
+        """Rates and forces at the instants of a clock."""
+        return {
+            name: self._read(name, skew + self._clock(self._owner(name)) - clock)
+            for name, (_, _, skew) in self.table.items()
+        }
+
+    def _turned(self, clock: float) -> Moved:
+        """Attitudes likewise."""
+        return {
+            name: self._read(name, self._clock(name) - clock)
+            for name in TURNED
+            if name in self.pieces
+        }
+
+    def _true(self, moved: Moved) -> Moved:
+        """Rates and forces without gain and bias."""
+        return {
+            name: (gain * moved[name][0] - bias, gain * moved[name][1])
+            for name, (gain, bias, _) in self.table.items()
+        }
+
+    def _sum(self, equation: str, angles: Mapping[str, Array], true: Moved) -> Array:
+        factors, f = terms_of(equation, self.flight, angles)
+        return sum((a * true[name][0] for name, a in factors.items() if name in true), f)
+
+    def _later(self, equation: str, clock: str, later: Mapping[str, Array]) -> Array:
+        """Slope by a clock: what it delays is read later, in its own equations all is earlier."""
+        own = [x for name, x in later.items() if clock_of(self._owner(name)) == clock]
+        all_of_it = later.values() if clock_of(equation) == clock else ()
+        return np.zeros(len(self.flight.t)) + sum(own) - sum(all_of_it)
+
+    def _owner(self, name: str) -> str:
+        """Against what a channel is late: φ, where what it turns is not recorded."""
+        owner = OWN.get(name, name)
+        return owner if owner in self.equations else "phi"
+
+    def _clock(self, name: str) -> float:
+        of = clock_of(name if name in self.equations else "phi")
+        return float(self.clocks[CLOCKS.index(of)]) if of else 0.0
+
+    def _read(self, name: str, later: float) -> tuple[Array, Array]:
+        return read_later(self.pieces[name], later, self.flight.dt)
+
+
+def clock_of(name: str) -> str:
+    """Which of `CLOCKS` an attitude or velocity has; none if that of φ."""
+    return "velocities" if name in VELOCITIES else name if name in CLOCKS else ""

@@ -61,6 +61,34 @@ def test_one_source_that_is_late_or_early_is_named_whole_and_alone(names, lag):
     np.testing.assert_allclose([*check.shifts.values()], -lag, atol=0.005)
 
 
+HEADED = (*bodies.WHOLE, "psi")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag", [0.06, -0.06])
+@pytest.mark.parametrize("names", [("phi", "theta"), ("phi",), ("theta",), ("psi",)], ids="-".join)
+def test_attitudes_of_one_source_late_beside_others_are_named_and_no_rate_is(names, lag):
+    records = bodies.dirty(bodies.flown(106, late=dict.fromkeys(names, lag), outputs=HEADED), 106)
+    check = kinematic_check(records)
+    assert check.apart.names == names
+    assert {*check.shifts} == {*names}
+    np.testing.assert_allclose([*check.shifts.values()], -lag, atol=0.012)  # ψ: to some 5 ms
+    (remark,) = check.remarks
+    rest = [each for each in ("phi", "theta", "psi") if each not in names]
+    assert f"against rates, specific forces, {', '.join(rest)} and velocities" in remark
+
+
+@pytest.mark.slow
+def test_a_late_heading_spoils_no_skew_of_a_rate():
+    z = []
+    for seed in range(2):
+        records = bodies.flown(120 + seed, late={"psi": 0.06}, outputs=HEADED, noise=0.3)
+        for each in kinematic_check(records).channels[:3]:
+            true = -0.06 if each.channel == "r" else 0.0
+            z.append((each.skew - true) / each.skew_error)
+    assert np.abs(z).max() < 3.5  # six normal values: exceeded once in 360
+
+
 def test_forces_late_beside_late_velocities_are_told_against_the_others():
     check = kinematic_check(late((*VELOCITIES, *FORCES), 0.1))
     assert check.apart.names == VELOCITIES
