@@ -17,7 +17,7 @@ from casid.consistency.instruments import CLOCKS, Instruments
 from casid.consistency.measured import Flight
 from casid.consistency.voting import SKEW, significant
 
-SURE = 4.0  # standard errors from none at all that the coupling is flown
+SURE = 2.5  # standard errors from none at all that the coupling is flown
 OTHER = 0.3  # how far from once that may be, or
 ERRORS = 3.0  # so many standard errors
 TILT = 0.1  # rad: what an unknown pitch attitude may be
