@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.fit import ConstraintEstimate, ParameterEstimate
@@ -11,6 +12,7 @@ from casid.model import Model
 
 ACTIVE = 1e-6  # distance to a bound, relative to the parameter's scale, that counts as on it
 NEAR = 1e-4  # the same, if the bound has a price
+ROUNDING = 1e-9  # of the length of a direction that is free
 
 
 def on_bounds(free: Free, values: Array, multipliers: Array) -> Array:
@@ -38,13 +40,15 @@ def parameter_table(
 ) -> tuple[ParameterEstimate, ...]:
     """Rows of the parameter table from free values, multipliers, errors: (nf,), in physical units.
 
-    What is missing is NaN; ``guess`` is what the estimator started from, the model of ``free``
-    unless given.
+    What is missing is NaN, as the errors of what bounds and ties hold; ``guess`` is what the
+    estimator started from, the model of ``free`` unless given.
     """
     model, full = free.model, free.full(np.asarray(values, dtype=float))
     moving = np.isin(np.arange(len(full)), free.index)
     gap = np.minimum(full - free.lower, free.upper - full)
     active = moving & (gap <= ACTIVE * free.scale)
+    held = active.copy()
+    held[free.index] |= _without_room(free, full[free.index], active[free.index])
 
     def column(values: Array | None, fixed: float) -> Array:
         """Free values (nf,) among those of all parameters (n,); NaN if None."""
@@ -58,17 +62,17 @@ def parameter_table(
         "lower": free.lower,
         "upper": free.upper,
         "multiplier": np.where(active, column(multipliers, 0.0), 0.0),
-        "std_error": np.where(active, np.nan, column(std_error, 0.0)),
+        "std_error": np.where(held, np.nan, column(std_error, 0.0)),
         "insensitivity": column(insensitivity, np.nan),
-        "cramer_rao": np.where(active, np.nan, column(cramer_rao, np.nan)),
+        "cramer_rao": np.where(held, np.nan, column(cramer_rao, np.nan)),
     }
     rows = []
     for i, (name, info) in enumerate(model.infos().items()):
         numbers: Any = {key: float(values[i]) for key, values in columns.items()}
         prior, std = map(float, free.priors.get(name, (np.nan, np.nan)))
         told: Any = {"name": name, "unit": info.unit, "prior": prior, "prior_std": std}
-        held: Any = {"active": bool(active[i]), "fixed": not moving[i]}
-        rows.append(ParameterEstimate(**told, **numbers, **held))
+        state: Any = {"active": bool(active[i]), "fixed": not moving[i]}
+        rows.append(ParameterEstimate(**told, **numbers, **state))
     return tuple(rows)
 
 
@@ -96,6 +100,15 @@ def holding(free: Free, values: Array, active: BoolArray) -> Array:
     rows = constraint_table(model, np.zeros(len(model.constraints())))
     held = np.array([row.active for row in rows])
     return np.vstack([bounds, free.constraint_slopes(values)[held]])
+
+
+def _without_room(free: Free, values: Array, active: BoolArray) -> BoolArray:
+    """Which free parameters (nf,) bounds and ties leave no room, their own bound or another's."""
+    gradients = holding(free, values, active) * free.scale[free.index]
+    if not len(gradients):
+        return active
+    room = scipy.linalg.null_space(gradients, rcond=ROUNDING)
+    return np.asarray(np.linalg.norm(room, axis=1) < ROUNDING)
 
 
 def held_directions(free: Free, values: Array, rows: tuple[ParameterEstimate, ...]) -> int:

@@ -108,7 +108,12 @@ def prediction_plan(
     unknowns = max(each.nx for each in systems) + record.ny
     most = max(round(PAST * horizon / pace), int(PER_UNKNOWN * unknowns))
     ahead = int(horizon / pace + 1e-9)
-    if ahead < 1 or most >= record.N - 1:
+    if ahead < 1:
+        raise ValueError(
+            f"record {record.name!r} has a sample every {pace:g} s, none within a horizon of "
+            f"{horizon:g} s; give another horizon"
+        )
+    if most >= record.N - 1:
         raise ValueError(
             f"record {record.name!r} of {length:g} s is too short to predict {horizon:g} s ahead "
             f"from {most * pace:g} s of past; give another horizon"

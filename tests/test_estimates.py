@@ -71,3 +71,15 @@ def test_constraints_are_active_on_either_bound_and_carry_their_price_then():
     assert (tie.value, tie.active, tie.multiplier) == (1.0, True, 0.1)
     (lower,) = (row for row in constraint_table(Ruled(b=0.5), np.ones(3)) if row.name == "free")
     assert (lower.value, lower.active, lower.multiplier) == (0.0, True, 1.0)
+
+
+def test_what_follows_from_a_parameter_on_its_bound_has_no_error_of_its_own():
+    values, errors = np.array([-1.0, 2.0, 0.5]), np.array([1e-16, 1e-17, 0.1])
+    at_bound = free_parameters(Ruled(), bounds={"a": (-1.0, 0.0)})
+    a, b, c = parameter_table(at_bound, values, np.zeros(3), errors, cramer_rao=errors)
+    assert (a.active, b.active, c.active) == (True, False, False)
+    for row in (a, b, c):  # a + b = 1, and b + c at its largest
+        assert np.isnan([row.std_error, row.cramer_rao]).all()
+    loose = Ruled(c=0.25)  # b + c has room
+    rows = parameter_table(free_parameters(loose), loose.vector(), np.zeros(3), errors)
+    np.testing.assert_array_equal([row.std_error for row in rows], errors)

@@ -42,8 +42,10 @@ def filter_unknowns(
     if isinstance(process_noise, bool):
         return starting_noises(model, records, R) if process_noise else None
     gain = np.asarray(process_noise, dtype=float)
-    if gain.shape != shape or not np.isfinite(gain).all():
+    if gain.shape != shape:
         raise ValueError(f"process_noise has shape {gain.shape}, expected K (nx, ny) = {shape}")
+    if not np.isfinite(gain).all():
+        raise ValueError("process_noise: expected a gain K of finite numbers, without NaN")
     return GainUnknowns(gain, free=False)
 
 

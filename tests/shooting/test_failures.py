@@ -158,6 +158,7 @@ def first(samples):
         ({"R": -np.eye(3)}, "not symmetric positive definite"),
         ({"R": "banded"}, 'expected an array of numbers or "diagonal" or "full"'),
         ({"process_noise": np.eye(2)}, r"expected K \(nx, ny\) = \(3, 3\)"),
+        ({"process_noise": np.full((3, 3), np.nan)}, "finite numbers, without NaN"),
         ({"bounds": {"Lp": (0.0, -1.0)}}, "Lp"),
         ({"bounds": {"Lx": (0.0, 1.0)}}, "no parameter 'Lx'"),
     ],
