@@ -17,6 +17,8 @@ from casid.jobs.store import Done
 from casid.records import standard_deviations
 from casid.validation import Validation
 
+ROUNDING = 1e-8  # of the cost: what two solves may leave
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CaseResult:
@@ -103,6 +105,8 @@ def price_case(
         return found
     shares = _shares((case, fit), (freest, free))
     increase = 0.0 if fit is free else fit.cost - free.cost
+    if case.within(freest) and abs(increase) < ROUNDING * (1 + abs(fit.cost)):
+        increase = max(increase, 0.0)  # narrower bounds gain nothing but what tolerances leave
     found = replace(found, increase=increase, predicted=sum(shares.values()), shares=shares)
     if fit.R is None or not case.within(freest):  # no likelihood, or no test
         return found

@@ -1,10 +1,15 @@
 """Shares of the price of bounds, where the cost is quadratic and the prediction is exact."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 
 from casid import Constraint, Execution, OutputError, compare_bounds
+from casid.bounds.cases import read_cases
+from casid.bounds.prices import price_case
+from casid.jobs.store import Done
 
 
 class Ruled(Mixture):
@@ -49,3 +54,17 @@ def test_a_fixed_value_has_the_price_of_its_tie_and_no_error():
     assert np.isnan(row.std_error)
     costs = [cost(((1.0, 0.0, 0.0), 0.8 + step)) for step in (-1e-3, 1e-3)]
     assert row.multiplier == pytest.approx((costs[1] - costs[0]) / 2e-3, rel=1e-5)
+
+
+def test_what_two_solves_leave_is_no_gain_of_narrower_bounds():
+    known = OutputError(R=NOISE**2 * np.eye(1))
+    cases = {"free": {}, "wide": {"a": "< 3"}, "low": {"a": "< 0.8"}}
+    of = {"estimator": known, "execution": Execution(executor=Inline())}
+    free, wide, low = compare_bounds(Mixture(), [record()], cases=cases, **of).cases
+    read = {case.name: case for case in read_cases(Mixture(), cases)}
+    for less, expected in ((1e-9, 0.0), (1e-3, -1e-3)):
+        fit = replace(wide.fit, cost=free.cost - less * (1 + abs(free.cost)))
+        base = read["free"], free.fit
+        increase = price_case(read["wide"], Done(result=fit), base, [record()], None).increase
+        assert increase == pytest.approx(expected * (1 + abs(free.cost)), rel=1e-6)
+    assert low.increase > 1
