@@ -7,8 +7,8 @@ threads that wait for each other cost more than the arithmetic.
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
-from contextvars import copy_context
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar, copy_context
 from functools import cache, wraps
 from multiprocessing import parent_process
 from typing import ParamSpec, TypeVar
@@ -19,6 +19,8 @@ from threadpoolctl import ThreadpoolController
 P = ParamSpec("P")
 T = TypeVar("T")
 U = TypeVar("U")
+
+_ALONE: ContextVar[bool] = ContextVar("alone", default=False)
 
 
 @cache
@@ -50,13 +52,25 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+@contextmanager
+def alone(told: bool) -> Iterator[None]:
+    """A context in which a process of many is told whether the others have work."""
+    before = _ALONE.set(told)
+    try:
+        yield
+    finally:
+        _ALONE.reset(before)
+
+
 def on_all_cores(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
     """Values of a function in the order of the items, computed by a thread for every core.
 
-    By this thread alone in a process of many that share the work, which have the cores already.
+    By this thread alone in a process of many that share the work, which have the cores already
+    unless it works `alone`.
     """
     each = list(items)
-    threads = 1 if parent_process() is not None else min(cores(), len(each))
+    shared = parent_process() is not None and not _ALONE.get()
+    threads = 1 if shared else min(cores(), len(each))
     if threads <= 1:
         yield from map(function, each)
         return

@@ -1,7 +1,9 @@
 """Threads of linear algebra while casid computes, by what the libraries report."""
 
 import sys
+import threading
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +25,7 @@ from casid import (
 )
 from casid.cli import main
 from casid.commands.data import new_model_command
+from casid.threads import alone, cores, on_all_cores
 
 RECORD = replace(white(LAG, np.random.default_rng(0), duration=60.0, noise=0.05), outputs=("x",))
 OMEGA = np.array([1.5, 2.0, 3.0])
@@ -97,3 +100,25 @@ def test_commands_compute_with_one_thread(monkeypatch):
     assert CliRunner().invoke(main, ["new-model", "Own"]).exit_code == 0
     assert seen == [{1}]
     assert threads() == {2}
+
+
+def _used(single):
+    """How many threads share eight pieces of work that wait for each other in pairs."""
+    pair = threading.Barrier(2)
+
+    def meet(_):
+        try:
+            pair.wait(0.5)
+        except threading.BrokenBarrierError:
+            pair.reset()
+        return threading.get_ident()
+
+    with alone(single):
+        return len(set(on_all_cores(meet, range(2))))
+
+
+@pytest.mark.skipif(cores() < 2, reason="needs two processors")
+def test_a_process_of_many_takes_all_cores_while_the_others_have_no_work():
+    assert _used(False) == 2  # no process of many
+    with ProcessPoolExecutor(1) as pool:
+        assert [pool.submit(_used, single).result() for single in (False, True, False)] == [1, 2, 1]

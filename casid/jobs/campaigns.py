@@ -18,7 +18,7 @@ from typing import Any
 from casid.errors import DataWarning
 from casid.jobs.store import Done, Store
 from casid.jobs.workers import OtherExecutor, OwnProcesses, Workers
-from casid.threads import cores
+from casid.threads import alone, cores
 from casid.values import decode, encode
 
 LOG = logging.getLogger("casid")
@@ -142,8 +142,11 @@ class _Campaign:
             flying = {job.name for job in running.values()}
             # A job that may have killed its process is tried alone.
             slots = 1 if any(name not in self.done for name in self.attempts) else workers.slots
-            for job in self._ready(flying)[: max(slots - len(running), 0)]:
-                running[workers.submit(_attempt, self.work, job, *self._start(job))] = job
+            ready = self._ready(flying)[: max(slots - len(running), 0)]
+            single = len(ready) == 1 and not running
+            for job in ready:
+                start = self._start(job)
+                running[workers.submit(_attempt, self.work, job, *start, single)] = job
             if not running:
                 return
             finished, _ = futures.wait(running, return_when=futures.FIRST_COMPLETED)
@@ -225,11 +228,17 @@ class _Campaign:
             self.progress(advance)
 
 
-def _attempt(work: Callable[[Any, Any], Any], job: Job, start: Any, source: str) -> Done:  # noqa: ANN401
+def _attempt(
+    work: Callable[[Any, Any], Any],
+    job: Job,
+    start: Any,  # noqa: ANN401
+    source: str,
+    single: bool,
+) -> Done:
     """Do one job where it is sent; a failure is a result too. The result travels encoded."""
     begin = time.perf_counter()
     result, reason = None, ""
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings(record=True) as caught, alone(single):
         warnings.simplefilter("always", DataWarning)
         try:
             result = work(job.payload, start)

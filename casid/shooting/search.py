@@ -28,7 +28,7 @@ from casid.shooting.starting import neighbouring_programme, noise_of
 LOG = logging.getLogger("casid")
 
 ROUNDS = 12  # of solves
-PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
+PREDICTIONS = 2  # of the solution beside another: mostly it is settled then which bounds hold
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
 ROUGHLY = 0.1  # of log-likelihood that a step may still gain there
 EARLIER = 40  # of IPOPT's iterations at most, before the parameters alone go on
