@@ -10,9 +10,9 @@ from truths.heave import Heave, heaved
 from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
 from casid import DataWarning, Record, output_error
 from casid.free import free_parameters
+from casid.shooting import search
 from casid.shooting.delays import calm, neighbours, stuck
 from casid.shooting.intervals import lay_out
-from casid.shooting.search import Search
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -154,20 +154,20 @@ def test_no_fit_is_less_likely_than_with_a_jumping_delay_held_at_its_truth(steps
 @pytest.mark.slow
 def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
     judged, ends = [], []
-    honest, solved = Search._leads_back, Search._inside
+    honest, solved = search._leads_back, search.Search._inside
 
-    def both(search, *where):
-        judged.append(honest(search, *where))
+    def both(*where):
+        judged.append(honest(*where))
         return False  # solved all the same
 
-    def inside(search, outcome, side):
+    def inside(own, outcome, side):
         before = len(judged)
-        end = solved(search, outcome, side)
+        end = solved(own, outcome, side)
         ends.append((judged[before:] == [True], end.cost - outcome.cost))
         return end
 
-    monkeypatch.setattr(Search, "_leads_back", both)
-    monkeypatch.setattr(Search, "_inside", inside)
+    monkeypatch.setattr(search, "_leads_back", both)
+    monkeypatch.setattr(search.Search, "_inside", inside)
     for structure, hold in ((Roll, "foh"), (Smooth, "zoh")):
         for seed in range(3):
             truth = structure(tau=1.0 * H)
