@@ -1,7 +1,6 @@
 """Threads of linear algebra while casid computes, by what the libraries report."""
 
 import sys
-import threading
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -11,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from threadpoolctl import threadpool_info, threadpool_limits
 from truths.structures import Lag
+from truths.sums import sharing
 from truths.systems import LAG, white
 
 from casid import (
@@ -25,7 +25,7 @@ from casid import (
 )
 from casid.cli import main
 from casid.commands.data import new_model_command
-from casid.threads import alone, cores, on_all_cores
+from casid.threads import alone, cores
 
 RECORD = replace(white(LAG, np.random.default_rng(0), duration=60.0, noise=0.05), outputs=("x",))
 OMEGA = np.array([1.5, 2.0, 3.0])
@@ -103,18 +103,8 @@ def test_commands_compute_with_one_thread(monkeypatch):
 
 
 def _used(single):
-    """How many threads share eight pieces of work that wait for each other in pairs."""
-    pair = threading.Barrier(2)
-
-    def meet(_):
-        try:
-            pair.wait(0.5)
-        except threading.BrokenBarrierError:
-            pair.reset()
-        return threading.get_ident()
-
     with alone(single):
-        return len(set(on_all_cores(meet, range(2))))
+        return sharing(None, None)
 
 
 @pytest.mark.skipif(cores() < 2, reason="needs two processors")

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 from truths.mixture import CASES, Inline, Mixture, record
-from truths.sums import add, job, results
+from truths.sums import add, job, results, sharing
 
 from casid import Execution, OutputError, SolverOptions, compare_bounds
 from casid.jobs.campaigns import CampaignProgress, run_jobs
 from casid.jobs.store import Store
+from casid.threads import cores
 
 TESTS = Path(__file__).parents[1]
 
@@ -47,6 +48,12 @@ def test_a_job_that_is_nothing_alone_is_left_out_where_its_start_failed(tmp_path
     assert seen[-1].done == seen[-1].total == 4
     again = run_jobs(add, [job("a", 1, key="mended"), *jobs[1:]], kept)
     assert results(again) == {"a": (1, "", ""), "b": (2, "", "a"), "c": (3, "", "b")}
+
+
+@pytest.mark.skipif(cores() < 2, reason="needs two processors")
+def test_a_job_on_which_all_others_wait_has_all_processors():
+    done = run_jobs(sharing, [job("a", 1), *(job(name, 1, "a") for name in "bcdef")])
+    assert [each.result for each in done.values()] == [2, 1, 1, 1, 1, 1]
 
 
 def test_what_starts_from_a_long_job_is_done_first():
@@ -85,7 +92,7 @@ import sys, time
 sys.path[:0] = [{root!r}, {tests!r}]
 from casid import Execution, compare_bounds
 from truths.mixture import CASES, Inline, Mixture, record
-from truths.sums import add, job, results
+from truths.sums import add, job, results, sharing
 
 if __name__ == "__main__":
     found = compare_bounds(Mixture(), [record()], cases=CASES,

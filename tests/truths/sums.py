@@ -3,11 +3,13 @@
 import logging
 import os
 import signal
+import threading
 import time
 
 from threadpoolctl import threadpool_info
 
 from casid.jobs.campaigns import Job, UnfinishedError
+from casid.threads import on_all_cores
 
 HERE = {"told": "nothing"}  # what a process knows that has loaded this
 
@@ -39,3 +41,17 @@ def job(name, payload, *after, key="key", alone=True):
 
 def results(done):
     return {name: (each.result, each.reason, each.source) for name, each in done.items()}
+
+
+def sharing(_, __):
+    """How many threads two pieces of work have that wait a while for each other."""
+    pair = threading.Barrier(2)
+
+    def meet(_):
+        try:
+            pair.wait(0.2)
+        except threading.BrokenBarrierError:
+            pair.reset()
+        return threading.get_ident()
+
+    return len(set(on_all_cores(meet, range(2))))
