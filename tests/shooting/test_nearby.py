@@ -11,6 +11,7 @@ from casid import Constraint, SolverOptions
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nearby import CHEAP, ROOM, Iterate, followed, in_box, predicted
+from casid.shooting.programme import Scales
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -133,6 +134,17 @@ def test_the_error_of_the_optimality_conditions_knows_what_each_of_them_misses()
     assert good.error(loose) == pytest.approx(far, rel=1e-6)
     assert replace(good, x=found.x - 0.5 * unit).error(programme) >= 0.5  # beyond the bound
     assert replace(good, constraints=good.constraints + 1e-3).error(programme) >= 1e-3
+
+
+def test_a_solution_carried_to_other_units_is_one_there():
+    programme, at = beside(TRUTH, {"Lp": (-1.9, 0.0)})
+    found = followed(programme, at, SolverOptions(tolerance=1e-11), "here")
+    good = Iterate(found.x, found.multipliers_x, found.multipliers_g)
+    rng, old = np.random.default_rng(0), programme.scales
+    units = (each * rng.uniform(0.3, 3.0, each.shape) for each in (old.lam, old.bias, old.state))
+    other = programme.roomier(ROOM).variant(scales=Scales(*units))
+    assert good.carried(programme, other).error(other) <= 1e-10
+    assert good.error(other) > 1e-3  # its numbers are others
 
 
 def test_costates_leave_the_nodes_no_slope_but_those_that_begin_a_record():
