@@ -3,7 +3,8 @@
 At each condition the structure is linearised; the covariance of an entry of A or B is J C Jᵀ, J its
 exact derivatives by the parameters, C the covariance that `Fit.std_error` is read from. That has
 no error of a parameter on its bound, nor has any entry that depends on one. States and inputs that
-a condition does not name balance the equations; errors take them as known, like those it names.
+a condition does not name balance the equations, and move with the parameters in J, as what it
+names does as far as it gives way.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from casid.errors import ModelError, warn
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.free import free_parameters
-from casid.nonlinear.balance import Balance, balanced, unbalanced
+from casid.nonlinear.balance import Balance, balanced, carried, unbalanced
 from casid.nonlinear.conditions import Trim, linearisation
 from casid.nonlinear.coverage import MARGIN, leaves, tabulated
 from casid.nonlinear.model import NonlinearModel
@@ -141,8 +142,8 @@ def _gathered(
         balanced(fit.model, trim) if isinstance(fit.model, NonlinearModel) else Balance(trim)
         for trim, fit in along
     ]
-    along = [(each.trim, fit) for each, (_, fit) in zip(rest, along, strict=True)]
-    values, errors, poles = zip(*(_read(*each, entries) for each in along), strict=True)
+    read = [_read(each, fit, entries) for each, (_, fit) in zip(rest, along, strict=True)]
+    values, errors, poles = zip(*read, strict=True)
     moved = sorted((name, abs(move)) for each in rest for name, move in each.moved.items())
     return Envelope(
         speed=speed,
@@ -150,7 +151,9 @@ def _gathered(
         values=np.array(values),
         std_error=np.array(errors),
         poles=_followed(poles),
-        beyond=np.array([_is_beyond(*each) for each in along]),
+        beyond=np.array(
+            [_is_beyond(each.trim, fit) for each, (_, fit) in zip(rest, along, strict=True)]
+        ),
         local=local,
         balanced=tuple(dict.fromkeys(name for each in rest for name in each.found)),
         moved=dict(moved),
@@ -184,11 +187,11 @@ def _speed(trim: Trim) -> float:
 
 
 def _read(
-    trim: Trim, fit: AnyFit, entries: Sequence[tuple[str, str]]
+    rest: Balance, fit: AnyFit, entries: Sequence[tuple[str, str]]
 ) -> tuple[Array, Array, ComplexArray]:
     """Entries (m,), their standard errors, and poles (nx,) of a fit at a condition."""
     nonlinear = isinstance(fit.model, NonlinearModel)
-    model = linearisation(fit.model, [trim]) if nonlinear else fit.model
+    model = linearisation(fit.model, [rest.trim]) if nonlinear else fit.model
     columns = (*model.states, *model.inputs)
     for state, channel in entries:
         if state not in model.states or channel not in columns:
@@ -203,6 +206,9 @@ def _read(
     rows = [model.states.index(state) for state, _ in entries]
     cols = [columns.index(channel) for _, channel in entries]
     J = matrices.slopes[:, rows, cols].T
+    if isinstance(fit.model, NonlinearModel):
+        at = [fit.model.parameter_names().index(name) for name in free.names]
+        J = J + carried(fit.model, rest)[at][:, rows, cols].T
     places = [list(fit.free_names).index(free.names[i]) for i in range(len(free.names))]
     C = np.full((len(fit.free_names),) * 2, np.nan) if fit.covariance is None else fit.covariance
     stuck = np.array([fit[name].active for name in free.names], dtype=bool)

@@ -107,6 +107,40 @@ def test_nobody_knows_the_error_of_what_depends_on_a_parameter_on_its_bound(fit)
     np.testing.assert_allclose(errors[:, 1], np.sqrt(C[2, 2]) * np.array([20.0, 30.0, 40.0]))
 
 
+class Climbing(NonlinearModel):
+    """w' = thr - k u w - e w² at a thrust that is flown; in balance w has a closed form."""
+
+    states, inputs, outputs = ("u", "w"), ("push", "thr"), ("u", "w")
+
+    k: Scalar = parameter(default=0.05, lower=0.0, upper=1.0, unit="1/m")
+    e: Scalar = parameter(default=0.3, lower=0.0, upper=1.0, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [u.push, u.thr - self.k * x.u * x.w - self.e * x.w**2]
+
+    def reference(self):
+        return {"u": 30.0, "w": 2.0, "thr": 4.0}
+
+
+def test_errors_count_that_what_a_condition_leaves_open_moves_with_the_estimates():
+    t, rng = 0.1 * np.arange(300), np.random.default_rng(3)
+    u = np.column_stack([0 * t, 4.0 + 0.5 * np.sign(np.sin(0.7 * t))])
+    still = Record(t, u, np.zeros((300, 2)), Climbing.inputs, Climbing.outputs, "heave")
+    record = simulate(Climbing(k=0.06, e=0.2), still, {"u": 30.0, "w": 1.8})
+    fit = output_error(Climbing(), record.with_noise({"u": 0.1, "w": 0.02}, rng), biases=False)
+    trim = Trim(name="level", values={"u": 30.0, "thr": 4.0}, speed=30.0)
+    found = envelope(fit, [trim], [("w", "w"), ("w", "u")])
+    k, e, V, T = fit.model.k, fit.model.e, 30.0, 4.0
+    root = np.sqrt((k * V) ** 2 + 4 * e * T)  # w' by w is its negative; w = (root - k V) / 2 e
+    by_k, by_e = k * V**2 / root, 2 * T / root
+    w, w_by_k = (root - k * V) / (2 * e), (by_k - V) / (2 * e)
+    w_by_e = by_e / (2 * e) - (root - k * V) / (2 * e**2)
+    J = -np.array([[by_k, by_e], [w + k * w_by_k, k * w_by_e]])
+    np.testing.assert_allclose(found.values[0], [-root, -k * w], rtol=1e-8)
+    expected = np.sqrt(np.diag(J @ fit.covariance @ J.T))
+    np.testing.assert_allclose(found.std_error[0], expected, rtol=1e-5)
+
+
 def test_conditions_that_were_not_flown_are_told_and_drawn_without_a_band(fit):
     plt = pytest.importorskip("matplotlib.pyplot")
     with pytest.warns(DataWarning, match=r"at 5, 100 m/s, outside .*\(u 19\.98 to 39\.99\)"):

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
 from casid.display import listed
 from casid.model import Model
@@ -34,6 +34,7 @@ class Balance:
     found: Mapping[str, float] = field(default_factory=dict)
     moved: Mapping[str, float] = field(default_factory=dict)
     doubt: str = ""
+    slopes: Array | None = field(default=None, compare=False, repr=False)
 
 
 def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEEDS) -> Balance:
@@ -59,8 +60,8 @@ def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEED
     def at(move: Array) -> tuple[Array, Array, Array]:
         z = z0.copy()
         z[free] += move
-        f, J = balance(z)
-        return z, f.full().ravel()[rows], J.full()[rows]
+        f, J = (part.full()[rows] for part in balance(z))
+        return z, f.ravel(), J
 
     def residuals(move: Array) -> Array:
         return np.concatenate([EXACT * at(move)[1], price @ move])
@@ -72,7 +73,7 @@ def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEED
     if not np.isfinite(residuals(still)).all():
         return Balance(trim, doubt=_told(trim, {}, ["dx/dt is not finite"]))
     if not free.any() or np.abs(at(still)[1]).max() < BALANCE:
-        return Balance(trim)
+        return Balance(trim, slopes=_slopes(model, z0, rows, free, price))
     end = scipy.optimize.least_squares(
         residuals, still, slopes, x_scale=size[free], xtol=1e-12, ftol=1e-12, gtol=1e-12
     )
@@ -86,7 +87,25 @@ def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEED
     if (rank := np.linalg.matrix_rank(J[:, sought] * size[sought], rtol=DETERMINED)) < len(found):
         doubts.append(f"its equations determine {rank} of these {len(found)} only")
     whole = replace(trim, values=dict(trim.values) | values, unknown=())
-    return Balance(whole, found, moved, _told(trim, found, doubts))
+    return Balance(
+        whole, found, moved, _told(trim, found, doubts), _slopes(model, z, rows, free, price)
+    )
+
+
+def carried(model: NonlinearModel, rest: Balance) -> Array:
+    """How [A B] moves with the parameters because its condition does, (n_λ, nx, nx + nu).
+
+    NaN where nobody knows how that moves.
+    """
+    z, lam, _, J = _expressions(model)
+    names = (*model.states, *model.inputs)
+    usual = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))
+    at = np.array([rest.trim.values.get(name, value) for name, value in usual.items()])
+    bent = ca.Function("bent", [z, lam], [ca.jacobian(ca.vec(J.T), z)])
+    by_z = bent(at, model.vector()).full().reshape(*J.shape, -1)
+    slopes = np.full((len(at), lam.numel()), np.nan) if rest.slopes is None else rest.slopes
+    moved = np.where(by_z[..., None] == 0, 0.0, by_z[..., None] * slopes).sum(axis=2)
+    return np.moveaxis(moved, -1, 0)
 
 
 def unbalanced(model: Model, doubts: Sequence[str]) -> str:
@@ -97,12 +116,43 @@ def unbalanced(model: Model, doubts: Sequence[str]) -> str:
     )
 
 
-def _balance(model: NonlinearModel) -> tuple[ca.Function, Array]:
+def _balance(model: NonlinearModel) -> tuple[ca.Function, BoolArray]:
     """dx/dt (nx,) and its slopes (nx, nx + nu) by states and inputs, and which of them act."""
-    z = ca.SX.sym("z", len(model.states) + len(model.inputs))
-    f = model.equations()(*ca.vertsplit(z, [0, len(model.states), z.numel()]), model.vector())[0]
-    J = ca.jacobian(f, z)
+    z, lam, f, J = _expressions(model)
+    f, J = ca.substitute([f, J], [lam], [ca.SX(model.vector())])
     return ca.Function("balance", [z], [f, J]), ca.DM(J.sparsity(), 1).full().any(axis=0)
+
+
+def _slopes(
+    model: NonlinearModel, at: Array, rows: BoolArray, free: BoolArray, price: Array
+) -> Array:
+    """How a balance z moves with the parameters, (nx + nu, n_λ).
+
+    By differentiation of what makes it one: ∂/∂z (|P m|² / 2 + μᵀ f) = 0, f = μ / EXACT².
+    """
+    z, lam, f, _ = _expressions(model)
+    f, own = f[np.flatnonzero(rows).tolist()], z[np.flatnonzero(free).tolist()]
+    mu = ca.SX.sym("mu", f.numel())
+    pull, J = ca.jacobian(ca.dot(mu, f), own).T, ca.jacobian(f, own)
+    bent = ca.jacobian(pull, own)
+    parts = [f, bent, J, ca.jacobian(pull, lam), ca.jacobian(f, lam)]
+    function = ca.Function("parts", [z, lam, mu], parts)
+    value = function(at, model.vector(), 0)[0].full().ravel()
+    _, H, J, by_lam, f_lam = (
+        part.full() for part in function(at, model.vector(), EXACT**2 * value)
+    )
+    system = np.block([[price**2 + H, J.T], [J, -np.eye(len(J)) / EXACT**2]])
+    found = np.zeros((len(at), lam.numel()))
+    found[free] = -np.linalg.lstsq(system, np.vstack([by_lam, f_lam]))[0][: free.sum()]
+    return found
+
+
+def _expressions(model: NonlinearModel) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Symbols z of states and inputs, and λ, with dx/dt and its slopes by z."""
+    z = ca.SX.sym("z", len(model.states) + len(model.inputs))
+    lam = ca.SX.sym("lam", len(model.parameter_names()))
+    f = model.equations()(*ca.vertsplit(z, [0, len(model.states), z.numel()]), lam)[0]
+    return z, lam, f, ca.jacobian(f, z)
 
 
 def _sizes(model: NonlinearModel, start: Mapping[str, float]) -> Array:

@@ -1,12 +1,14 @@
 """Trims completed by the balance of the equations, against closed forms."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from truths.swing import Swing
 
 from casid import NonlinearModel, Scalar, Trim, parameter
-from casid.nonlinear.balance import Balance, balanced
+from casid.nonlinear.balance import Balance, balanced, carried
 
 
 class Sinking(NonlinearModel):
@@ -140,3 +142,36 @@ class Rooted(NonlinearModel):
 def test_equations_without_values_are_told():
     rest = balanced(Rooted(), Trim(values={"u": 2.0}))
     assert rest.doubt == "at a trim: dx/dt is not finite"
+
+
+@pytest.mark.parametrize("V", [15.0, 45.0])
+def test_a_balance_moves_with_the_parameters_as_its_closed_form(V):
+    model = Sinking()
+    rest = balanced(model, level(V))
+    k, e, g = model.k, model.e, model.g
+    root = np.sqrt((k * V) ** 2 + 4 * e * g)
+    by_k, by_e = (k * V**2 / root - V) / (2 * e), g / (e * root) - (root - k * V) / (2 * e**2)
+    x, u, w, thr = rest.slopes  # by k, e, c
+    np.testing.assert_allclose(w, [by_k, by_e, 0.0], rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(thr, [0.0, 0.0, V**2], rtol=1e-6, atol=1e-8)  # it gives way
+    np.testing.assert_allclose([x, u], 0.0, atol=1e-12)
+
+
+def test_moves_with_the_parameters_are_those_of_balancing_anew():
+    names, trim = ("v", "a", "b", "lag"), Trim(values={"u": 50.0, "v": 1.0, "a": 0.57, "b": 0.29})
+    ends = [balanced(replace(Shared(), Yv=Yv), trim).trim.values for Yv in (-0.1001, -0.0999)]
+    below, above = ([each[name] for name in names] for each in ends)
+    moved = balanced(Shared(), trim).slopes[[1, 3, 4, 2], 0]
+    np.testing.assert_allclose(moved, (np.array(above) - below) / 2e-4, rtol=1e-4)
+
+
+def test_slopes_are_carried_by_a_condition_that_moves():
+    model = Sinking()
+    rest = balanced(model, level(20.0))
+    moved = carried(model, rest)[:, 2]  # of w' by x, u, w, thr
+    w_by = rest.slopes[2]
+    np.testing.assert_allclose(moved[:, 1], -model.k * w_by, rtol=1e-9)
+    np.testing.assert_allclose(moved[:, 2], -2 * model.e * w_by, rtol=1e-9)
+    unknown = carried(model, Balance(rest.trim))
+    assert np.isnan(unknown[:, 2, 1:3]).all(), "nobody knows how the condition moves"
+    assert (unknown[:, 0] == 0).all(), "x' by u is one wherever it is"
