@@ -113,10 +113,21 @@ def check_priors(
             )
 
 
-def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above
-    """A state nothing drives and an output nothing reaches are slips, not models."""
-    A, B, C, D = (built[letter] for letter in "ABCD")
-    nonlinear = hasattr(cls, "derivatives")  # whose matrices are derived, not written
+def check_rows(symbolic: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above
+    """A state nothing drives and an output nothing reaches are slips, not models.
+
+    Of a nonlinear structure its equations say so, not their slopes at one condition.
+    """
+    cls = type(symbolic)
+    if getattr(cls, "derived", False):
+        return
+    nonlinear = hasattr(cls, "derivatives")
+    if nonlinear:
+        function = symbolic.equations()
+        slopes = [[ca.SX(function.jac_sparsity(o, i), 1) for i in (0, 1)] for o in (0, 1)]
+        (A, B), (C, D) = slopes
+    else:
+        A, B, C, D = (built[letter] for letter in "ABCD")
     for i, state in enumerate(cls.states):
         if A[i, :].nnz() + B[i, :].nnz() == 0 and state not in cls.constant_states:
             why = NOTHING if nonlinear else f"row {i} of A and of B is zero"

@@ -19,9 +19,9 @@ from casid.errors import ModelError, warn
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.free import free_parameters
-from casid.nonlinear.balance import Balance, balanced, carried, unbalanced
-from casid.nonlinear.conditions import Trim, linearisation
-from casid.nonlinear.coverage import MARGIN, leaves, tabulated
+from casid.nonlinear.balance import Balance, balanced, unbalanced
+from casid.nonlinear.conditions import Trim, check_named, linearisation
+from casid.nonlinear.coverage import leaves, tabulated
 from casid.nonlinear.model import NonlinearModel
 
 NOTHING = 1e-9  # share of an entry's largest dependence on a parameter that is rounding
@@ -115,6 +115,12 @@ def envelope(
         )
     if not trims or not entries:
         raise ValueError("envelope: give at least one trim and one entry, like ('q', 'w')")
+    for trim in trims:
+        check_named(fit.model, trim.values)
+        if wrong := [name for name, value in trim.values.items() if not np.isfinite(value)]:
+            raise ValueError(
+                f"trim {trim.name!r}: {wrong[0]} is {trim.values[wrong[0]]}, expected a number"
+            )
     own = None if not local else _gathered(list(local.items()), entries)
     made = _gathered([(trim, fit) for trim in trims], entries, own)
     if made.beyond.any():
@@ -142,8 +148,8 @@ def _gathered(
         balanced(fit.model, trim) if isinstance(fit.model, NonlinearModel) else Balance(trim)
         for trim, fit in along
     ]
-    read = [_read(each, fit, entries) for each, (_, fit) in zip(rest, along, strict=True)]
-    values, errors, poles = zip(*read, strict=True)
+    along = [(each.trim, fit) for each, (_, fit) in zip(rest, along, strict=True)]
+    values, errors, poles = zip(*(_read(*each, entries) for each in along), strict=True)
     moved = sorted((name, abs(move)) for each in rest for name, move in each.moved.items())
     return Envelope(
         speed=speed,
@@ -151,9 +157,7 @@ def _gathered(
         values=np.array(values),
         std_error=np.array(errors),
         poles=_followed(poles),
-        beyond=np.array(
-            [_is_beyond(each.trim, fit) for each, (_, fit) in zip(rest, along, strict=True)]
-        ),
+        beyond=np.array([_is_beyond(*each) for each in along]),
         local=local,
         balanced=tuple(dict.fromkeys(name for each in rest for name in each.found)),
         moved=dict(moved),
@@ -172,8 +176,7 @@ def _is_beyond(trim: Trim, fit: AnyFit) -> bool:
         return False
     at = fit.model.reached_at(trim)
     for name, (low, high) in _covered(fit).items():
-        room = MARGIN * max(abs(low), abs(high))  # a speed that was held has no span of its own
-        if name in at and leaves(at[name], (low - room, high + room)):
+        if name in at and leaves(at[name], (low, high)):
             return True
     return False
 
@@ -187,11 +190,11 @@ def _speed(trim: Trim) -> float:
 
 
 def _read(
-    rest: Balance, fit: AnyFit, entries: Sequence[tuple[str, str]]
+    trim: Trim, fit: AnyFit, entries: Sequence[tuple[str, str]]
 ) -> tuple[Array, Array, ComplexArray]:
     """Entries (m,), their standard errors, and poles (nx,) of a fit at a condition."""
     nonlinear = isinstance(fit.model, NonlinearModel)
-    model = linearisation(fit.model, [rest.trim]) if nonlinear else fit.model
+    model = linearisation(fit.model, [trim]) if nonlinear else fit.model
     columns = (*model.states, *model.inputs)
     for state, channel in entries:
         if state not in model.states or channel not in columns:
@@ -206,9 +209,6 @@ def _read(
     rows = [model.states.index(state) for state, _ in entries]
     cols = [columns.index(channel) for _, channel in entries]
     J = matrices.slopes[:, rows, cols].T
-    if isinstance(fit.model, NonlinearModel):
-        at = [fit.model.parameter_names().index(name) for name in free.names]
-        J = J + carried(fit.model, rest)[at][:, rows, cols].T
     places = [list(fit.free_names).index(free.names[i]) for i in range(len(free.names))]
     C = np.full((len(fit.free_names),) * 2, np.nan) if fit.covariance is None else fit.covariance
     stuck = np.array([fit[name].active for name in free.names], dtype=bool)

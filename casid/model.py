@@ -259,7 +259,7 @@ def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
     built = declaration.written(
         symbolic, "sensors", lambda found: sensors.measured(symbolic, built, found)
     )
-    declaration.check_rows(cls, built)
+    declaration.check_rows(symbolic, built)
     delays = declaration.written(symbolic, "delays", declaration.check_delays)
     check_known(f"{cls.__name__}.delays: no input is called", delays, cls.inputs, ModelError)
     where = f"{cls.__name__}.delays: that of"

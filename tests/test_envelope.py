@@ -155,6 +155,25 @@ def test_conditions_that_were_not_flown_are_told_and_drawn_without_a_band(fit):
     plt.close("all")
 
 
+def test_what_is_beyond_what_was_flown_is_so_by_a_tenth_of_the_span():
+    held = output_error(Faster(), [flown(20.0), flown(40.0)], biases=False)
+    with pytest.warns(DataWarning, match="extrapolated at 17, 43 m/s"):
+        found = envelope(held, at(17.0, 18.5, 41.5, 43.0), PAIRS)
+    assert found.beyond.tolist() == [True, False, False, True]
+
+
+def test_trims_of_other_names_or_no_numbers_are_refused(fit):
+    with pytest.raises(ValueError, match="trim names 'speed', which is no channel of Faster"):
+        envelope(fit, [Trim(values={"u": 20.0, "speed": 3.0})], PAIRS)
+    with pytest.raises(ValueError, match="trim 'cruise': u is nan, expected a number"):
+        envelope(fit, [Trim(values={"u": np.nan}, name="cruise", speed=20.0)], PAIRS)
+
+
+def test_conditions_of_equal_values_at_two_speeds_are_two(fit):
+    local = {Trim(values={"u": 25.0}, speed=V): fit for V in (20.0, 30.0)}
+    assert envelope(fit, at(25.0), PAIRS, local=local).local.speed.tolist() == [20.0, 30.0]
+
+
 def test_local_fits_stand_at_their_speeds(fit):
     record = flown(20.0).detrend({"u": 20.0, "q": 0.0, "lon": 0.0, "push": 0.0})
     own = output_error(Local(), record)

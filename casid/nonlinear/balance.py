@@ -34,7 +34,6 @@ class Balance:
     found: Mapping[str, float] = field(default_factory=dict)
     moved: Mapping[str, float] = field(default_factory=dict)
     doubt: str = ""
-    slopes: Array | None = field(default=None, compare=False, repr=False)
 
 
 def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEEDS) -> Balance:
@@ -50,7 +49,7 @@ def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEED
     names = (*model.states, *model.inputs)
     usual = zip(names, map(float, np.concatenate(model.operating_point())), strict=True)
     start = {name: trim.values.get(name, value) for name, value in usual}
-    z0, (balance, acts) = np.array(list(start.values())), _balance(model)
+    z0, (balance, acts) = np.array(list(start.values())), balance_function(model)
     rows, states = acts[: len(model.states)], itertools.compress(model.states, acts)
     sought = acts & [name not in trim.values or name in trim.unknown for name in names]
     free = sought | acts & [name not in held for name in names]
@@ -60,7 +59,7 @@ def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEED
     def at(move: Array) -> tuple[Array, Array, Array]:
         z = z0.copy()
         z[free] += move
-        f, J = (part.full()[rows] for part in balance(z))
+        f, J = (part.full()[rows] for part in balance(z, model.vector()))
         return z, f.ravel(), J
 
     def residuals(move: Array) -> Array:
@@ -73,7 +72,7 @@ def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEED
     if not np.isfinite(residuals(still)).all():
         return Balance(trim, doubt=_told(trim, {}, ["dx/dt is not finite"]))
     if not free.any() or np.abs(at(still)[1]).max() < BALANCE:
-        return Balance(trim, slopes=_slopes(model, z0, rows, free, price))
+        return Balance(replace(trim, moves=trim.moves or moving(model, z0, rows, free, price)))
     end = scipy.optimize.least_squares(
         residuals, still, slopes, x_scale=size[free], xtol=1e-12, ftol=1e-12, gtol=1e-12
     )
@@ -81,31 +80,16 @@ def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEED
     values = dict(zip(itertools.compress(names, free), map(float, z[free]), strict=True))
     found = {name: values[name] for name in itertools.compress(names, sought)}
     moved = {name: value - start[name] for name, value in values.items() if name not in found}
-    far = itertools.compress(names, ~sought & (np.abs(z - z0) > FAR * size))
-    doubts = [f"{name} {moved[name]:+.2g} from the {start[name]:.4g} it names" for name in far]
+    doubts = [
+        f"{name} {moved[name]:+.2g} from the {start[name]:.4g} it names"
+        for name in itertools.compress(names, ~sought & (np.abs(z - z0) > FAR * size))
+    ]
     doubts = _uneven(dict(zip(states, f, strict=True))) or doubts
     if (rank := np.linalg.matrix_rank(J[:, sought] * size[sought], rtol=DETERMINED)) < len(found):
         doubts.append(f"its equations determine {rank} of these {len(found)} only")
     whole = replace(trim, values=dict(trim.values) | values, unknown=())
-    return Balance(
-        whole, found, moved, _told(trim, found, doubts), _slopes(model, z, rows, free, price)
-    )
-
-
-def carried(model: NonlinearModel, rest: Balance) -> Array:
-    """How [A B] moves with the parameters because its condition does, (n_λ, nx, nx + nu).
-
-    NaN where nobody knows how that moves.
-    """
-    z, lam, _, J = _expressions(model)
-    names = (*model.states, *model.inputs)
-    usual = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))
-    at = np.array([rest.trim.values.get(name, value) for name, value in usual.items()])
-    bent = ca.Function("bent", [z, lam], [ca.jacobian(ca.vec(J.T), z)])
-    by_z = bent(at, model.vector()).full().reshape(*J.shape, -1)
-    slopes = np.full((len(at), lam.numel()), np.nan) if rest.slopes is None else rest.slopes
-    moved = np.where(by_z[..., None] == 0, 0.0, by_z[..., None] * slopes).sum(axis=2)
-    return np.moveaxis(moved, -1, 0)
+    whole = replace(whole, moves=moving(model, z, rows, free, price))
+    return Balance(whole, found, moved, _told(trim, found, doubts))
 
 
 def unbalanced(model: Model, doubts: Sequence[str]) -> str:
@@ -116,35 +100,39 @@ def unbalanced(model: Model, doubts: Sequence[str]) -> str:
     )
 
 
-def _balance(model: NonlinearModel) -> tuple[ca.Function, BoolArray]:
-    """dx/dt (nx,) and its slopes (nx, nx + nu) by states and inputs, and which of them act."""
+def balance_function(model: NonlinearModel) -> tuple[ca.Function, BoolArray]:
+    """dx/dt and its slopes by states and inputs z at (z, λ), and which of them act."""
     z, lam, f, J = _expressions(model)
-    f, J = ca.substitute([f, J], [lam], [ca.SX(model.vector())])
-    return ca.Function("balance", [z], [f, J]), ca.DM(J.sparsity(), 1).full().any(axis=0)
+    return ca.Function("balance", [z, lam], [f, J]), ca.DM(J.sparsity(), 1).full().any(axis=0)
 
 
-def _slopes(
+def moving(
     model: NonlinearModel, at: Array, rows: BoolArray, free: BoolArray, price: Array
-) -> Array:
-    """How a balance z moves with the parameters, (nx + nu, n_λ).
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """How a balance z moves with the parameters, as `Trim.moves` has it.
 
     By differentiation of what makes it one: ∂/∂z (|P m|² / 2 + μᵀ f) = 0, f = μ / EXACT².
     """
     z, lam, f, _ = _expressions(model)
     f, own = f[np.flatnonzero(rows).tolist()], z[np.flatnonzero(free).tolist()]
-    mu = ca.SX.sym("mu", f.numel())
+    mu, values = ca.SX.sym("mu", f.numel()), model.vector()
     pull, J = ca.jacobian(ca.dot(mu, f), own).T, ca.jacobian(f, own)
-    bent = ca.jacobian(pull, own)
-    parts = [f, bent, J, ca.jacobian(pull, lam), ca.jacobian(f, lam)]
+    parts = [ca.jacobian(pull, own), J, ca.jacobian(pull, lam), ca.jacobian(f, lam)]
+    multipliers = EXACT**2 * ca.Function("f", [z, lam], [f])(at, values)
     function = ca.Function("parts", [z, lam, mu], parts)
-    value = function(at, model.vector(), 0)[0].full().ravel()
-    _, H, J, by_lam, f_lam = (
-        part.full() for part in function(at, model.vector(), EXACT**2 * value)
-    )
+    H, J, by_lam, f_lam = (part.full() for part in function(at, values, multipliers))
     system = np.block([[price**2 + H, J.T], [J, -np.eye(len(J)) / EXACT**2]])
-    found = np.zeros((len(at), lam.numel()))
-    found[free] = -np.linalg.lstsq(system, np.vstack([by_lam, f_lam]))[0][: free.sum()]
-    return found
+    slopes = -np.linalg.lstsq(system, np.vstack([by_lam, f_lam]))[0][: free.sum()]
+    names = itertools.compress((*model.states, *model.inputs), free)
+    return {
+        name: {
+            parameter: (slope, value)
+            for parameter, slope, value in zip(model.parameter_names(), row, values, strict=True)
+            if slope
+        }
+        for name, row in zip(names, slopes.tolist(), strict=True)
+        if any(row)
+    }
 
 
 def _expressions(model: NonlinearModel) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

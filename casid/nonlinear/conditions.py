@@ -36,26 +36,33 @@ class Trim:
         dx/dt = 0: a trim that is not measured.
     speed : float
         Where tables and figures over airspeed place the condition [m/s]; NaN places it nowhere.
+    moves : mapping
+        ``{"theta": {"Xu": (slope, value)}}``: what was solved for moves, to first order, by its
+        slope with a parameter's distance from the value that it had then; so do matrices there,
+        and the errors of what is read from them.
     """
 
     values: Mapping[str, float]
     name: str = ""
     unknown: tuple[str, ...] = ()
     speed: float = np.nan
+    moves: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", {k: float(v) for k, v in self.values.items()})
         object.__setattr__(self, "unknown", tuple(self.unknown))
 
     def __hash__(self) -> int:
-        return hash((self.name, self.unknown, tuple(sorted(self.values.items()))))
+        return hash(self._key())
 
     def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, Trim)
-            and (self.name, self.unknown) == (other.name, other.unknown)
-            and self.values == other.values
-        )
+        return isinstance(other, Trim) and self._key() == other._key()
+
+    def _key(self) -> tuple[Any, ...]:
+        speed = self.speed if np.isfinite(self.speed) else None
+        moves = [(name, tuple(sorted(own.items()))) for name, own in sorted(self.moves.items())]
+        values = tuple(sorted(self.values.items()))
+        return self.name, self.unknown, speed, values, tuple(moves)
 
 
 def linearisation(model: Nonlinear, conditions: Sequence[Trim]) -> Model:
@@ -124,6 +131,7 @@ def _class(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> type[Model]:
             body[key] = parameter(default=condition.values.get(name, 0.0), unit=unit)
     body |= _methods(airframe, conditions)
     body |= {"__annotations__": notes, "__module__": airframe.__module__}
+    body["derived"] = True  # by differentiation: rows may vanish at one condition
     body["__doc__"] = f"{airframe.__name__}, linearised."
     return cast("type[Model]", type(f"{airframe.__name__}Linear", (Model,), body))
 
@@ -177,6 +185,9 @@ def point(
     names, condition = (*model.states, *model.inputs), conditions[number]
     values = dict(zip(names, itertools.chain(*reference_point(model)), strict=True))
     values |= {name: value for name, value in condition.values.items() if name in values}
+    for name, own in condition.moves.items():
+        for by, (slope, origin) in own.items():
+            values[name] = values[name] + slope * (getattr(model, by) - origin)
     for name in condition.unknown:
         values[name] = getattr(linear, unknown_name(name, number, conditions))
     found = [values[name] for name in names]

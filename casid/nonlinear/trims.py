@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 
-import casadi as ca
 import numpy as np
 import scipy
 
 from casid.arrays import Array
 from casid.checks import check_known
 from casid.errors import ModelError, warn
+from casid.nonlinear.balance import DETERMINED, balance_function, moving
 from casid.nonlinear.conditions import BALANCE, Trim
 from casid.nonlinear.model import NonlinearModel
 
@@ -71,14 +71,24 @@ def find_trim(
     start = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))
     start |= {each: float(value) for each, value in known.items()}
     found = _solutions(model, start, tuple(unknown))
-    if len(found) > 1:
+    values = start | dict(zip(unknown, found[0], strict=True))
+    at, free = np.array(list(values.values())), np.isin(names, unknown)
+    slopes = balance_function(model)[0](at, model.vector())[1].full()[:, free]
+    size = np.maximum(np.abs(at[free]), 1.0)
+    if (rank := np.linalg.matrix_rank(slopes * size, rtol=DETERMINED)) < len(unknown):
+        warn(
+            f"trim {name!r} of {type(model).__name__} is one of many: its equations determine "
+            f"{rank} of {', '.join(unknown)}, not {len(unknown)}; hold one of them as it was flown"
+        )
+    elif len(found) > 1:
         others = ["; ".join(f"{n} = {v:.4g}" for n, v in zip(unknown, z, strict=True))
                   for z in found[1:]]  # fmt: skip
         warn(
             f"trim {name!r} of {type(model).__name__} is not the only one: also "
             f"{' and '.join(others)}; start nearer to the one that is flown"
         )
-    return Trim(values=start | dict(zip(unknown, found[0], strict=True)), name=name)
+    rows, loose = np.ones(len(model.states), dtype=bool), np.zeros((len(unknown), len(unknown)))
+    return Trim(values=values, name=name, moves=moving(model, at, rows, free, loose))
 
 
 def _solutions(
@@ -90,21 +100,21 @@ def _solutions(
     """
     nx, values = len(model.states), np.array(list(start.values()))
     places = [list(start).index(name) for name in unknown]
-    z, equations = ca.SX.sym("z", len(places)), model.equations()
-    full = [ca.SX(value) for value in values]
-    for i, place in enumerate(places):
-        full[place] = z[i]
-    f = equations(ca.vertcat(*full[:nx]), ca.vertcat(*full[nx:]), model.vector())[0]
-    both = ca.Function("balance", [z], [f, ca.jacobian(f, z)])
+    both, lam = balance_function(model)[0], model.vector()
     size = np.maximum(np.abs(values[places]), 1.0)
     rng, least = np.random.default_rng(0), np.full(nx, np.inf)
     found: list[Array] = []
 
-    def balance(at: Array) -> Array:
-        return np.asarray(both(at)[0].full().ravel())
+    def at(unknown: Array) -> Array:
+        z = values.copy()
+        z[places] = unknown
+        return z
 
-    def slope(at: Array) -> Array:
-        return np.asarray(both(at)[1].full())
+    def balance(unknown: Array) -> Array:
+        return np.asarray(both(at(unknown), lam)[0].full().ravel())
+
+    def slope(unknown: Array) -> Array:
+        return np.asarray(both(at(unknown), lam)[1].full()[:, places])
 
     moves = SPREAD * rng.uniform(-1, 1, (1 + STARTS, len(places)))
     moves[0] = 0.0

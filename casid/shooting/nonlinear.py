@@ -16,7 +16,6 @@ from typing import Any, cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import ModelError
 from casid.free import Free
 from casid.intersample import ORDER
 from casid.nonlinear.coverage import reached
@@ -26,13 +25,10 @@ from casid.shooting.flow import STAGES, Flow, Slopes, weights
 from casid.shooting.intervals import Layout
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, counts
 from casid.shooting.stages import Stages, stage_inputs
+from casid.shooting.stiffness import first_steps
 from casid.shooting.unknowns import FilterMatrices
 from casid.values import storable
 
-REACH = 1.0  # of the fastest eigenvalue times a step, at most: then the method follows it
-STABLE = 2.5  # the same, beyond which the method diverges (2.78)
-MOST = 64  # steps a sampling interval
-PLACES, TYPICAL = 200, 0.95  # samples at which modes are looked at; the share that steps follow
 PIECE = 128  # samples whose derivatives are advanced at once
 KEPT_BYTES = 256e6  # of derivatives by λ kept for a second pass
 
@@ -51,11 +47,15 @@ class Integration:
         half as long.
     moved : str
         Its name.
+    widened : float
+        By what share of itself the standard deviation that changes most would change then: where
+        the method comes close to diverging it is the method that holds an estimate, not the data.
     """
 
     steps: int
     shift: float
     moved: str
+    widened: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,38 +75,9 @@ class NonlinearEvaluator(Evaluator):
         self.flow, self.model = Flow(free), cast("NonlinearModel", free.model)
         self._full = free.full
         self.lengths = layout.classes[layout.step]
-        self.whole = substeps or self._first_substeps(free.guess)
+        self.whole = substeps or first_steps(self, free.guess)
         self.shares = 1
         self._stages: tuple[bytes, Stages] | None = None
-
-    def _first_substeps(self, lam: Array) -> int:
-        """Steps a sampling interval that follow the fastest mode, at the reference and as flown.
-
-        ModelError where none do at the reference.
-        """
-        poles, vectors = np.linalg.eig(self.matrices(lam).A)
-        worst, longest = int(np.argmax(np.abs(poles))), float(self.layout.classes.max())
-        fastest = float(np.abs(poles[worst])) * longest
-        if fastest > STABLE * MOST and poles[worst].real < 0:
-            state = self.model.states[int(np.argmax(np.abs(vectors[:, worst])))]
-            raise ModelError(
-                f"{type(self.model).__name__} is stiff at the start: its mode at "
-                f"{poles[worst]:.3g} rad/s, mostly of {state}, is too fast for {MOST} steps within "
-                f"{longest:.3g} s; write {state} in its steady state, or make its lag longer"
-            )
-        fastest = max(fastest, self._fastest_flown(lam) * longest)
-        return int(np.clip(np.ceil(fastest / REACH), 1, MOST))
-
-    def _fastest_flown(self, lam: Array) -> float:
-        """The fastest mode's modulus [rad/s] where the records are, but for single wild samples."""
-        rows = np.unique(np.linspace(0, len(self.layout.y) - 1, PLACES).astype(int))
-        u = self.inputs(self.matrices(lam))[rows]
-        with np.errstate(all="ignore"):
-            A = self.flow.f(self.flown(rows), u, lam)[1]
-        A = A[np.isfinite(A).all(axis=(1, 2))]
-        if not len(A):
-            return 0.0
-        return float(np.quantile(np.abs(np.linalg.eigvals(A)).max(axis=1), TYPICAL))
 
     @property
     def substeps(self) -> int:

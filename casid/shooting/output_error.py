@@ -37,9 +37,10 @@ from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import in_totals, warn_contradicted, with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
-from casid.shooting.nonlinear import MOST, Integration
+from casid.shooting.nonlinear import Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away, verdict
 from casid.shooting.search import ROUGH, Outcome, Search
+from casid.shooting.stiffness import MOST
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.unknowns import NoiseUnknowns
 from casid.shooting.ways import Ways

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
+from casid.errors import warn
 from casid.fit import AnyFit
 from casid.free import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting import frequency
 from casid.shooting.delays import Side, calm, held, neighbours, own_prices, stuck
-from casid.shooting.integration import factor_wanted, integration
+from casid.shooting.integration import SHIFT, factor_wanted, integration, still_coarse
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import Iterate, followed, predicted
 from casid.shooting.newton import Newton
@@ -138,6 +139,12 @@ class Search:
             found = integration(outcome.programme, outcome.solution.x)
             factor = 1 if self.steps else factor_wanted(found, len(evaluator.lengths))
             if factor == 1:
+                lam = outcome.programme.unpack(outcome.solution.x).lam
+                if not (said := still_coarse(found, evaluator, lam)):
+                    return outcome, found
+                if found.widened > SHIFT and not self.steps:
+                    return outcome.failed(said), found
+                warn(f"{type(evaluator.model).__name__}: {said}")
                 return outcome, found
             last, solution = outcome.programme, outcome.solution
             programme = last.variant(evaluator=evaluator.finer(factor))

@@ -17,11 +17,13 @@ from casid.prediction import PER_UNKNOWN, Prediction, PredictionPlan, RecordPred
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.shooting.intervals import lay_out
-from casid.shooting.nonlinear import MOST, PIECE, TYPICAL, NonlinearEvaluator, Track
+from casid.shooting.nonlinear import PIECE, NonlinearEvaluator, Track
 from casid.shooting.sensitivity import Point
+from casid.shooting.stiffness import MOST, TYPICAL
 from casid.threads import one_thread
 
-SAME = 1e-6  # change of outputs, over their size, from halving the steps that ends it
+SAME = 1e-6  # change of an output, over its span, from halving the steps that ends it
+ROUNDING = 1e-12  # of the largest value, a change that counts as none
 ROUNDS = 20  # of Gauss-Newton steps for a state
 STILL = 1e-10  # change of the cost, relative, that ends them
 AWAY = "the structure runs away from its start; predict over a shorter horizon"
@@ -64,16 +66,18 @@ def simulate(
     point = Point(lam=model.vector(), bias=np.zeros((1, len(model.outputs))), nodes=node)
     motion = evaluator.simulate(point)
     y = _finite(model, motion.residuals)
-    moved = np.inf
-    while moved > SAME and (evaluator.substeps < MOST or np.isinf(moved)):
+    moved = np.full(len(model.outputs), np.inf)
+    while (moved > SAME).any() and (evaluator.substeps < MOST or np.isinf(moved).any()):
         evaluator, last = evaluator.finer(2), y
         y = _finite(model, evaluator.simulate(point).residuals)
-        moved = float(np.abs(y - last).max() / max(np.abs(y).max(), 1e-300))
-    if moved > SAME:
+        least = ROUNDING / SAME * np.abs(y).max() + 1e-300
+        moved = np.abs(y - last).max(axis=0) / np.maximum(np.ptp(y, axis=0), least)
+    if (moved > SAME).any():
+        worst = int(np.argmax(moved))
         warn(
-            f"simulate: outputs over record {record.name!r} move by {moved:.1g} of their size as "
-            f"steps are halved to {evaluator.substeps} a sampling interval, the most; "
-            "give inputs at shorter intervals"
+            f"simulate: {model.outputs[worst]} over record {record.name!r} moves by "
+            f"{moved[worst]:.1g} of its span as steps are halved to {evaluator.substeps} a "
+            "sampling interval, the most; give inputs at shorter intervals"
         )
     warn_beyond(model, f"record {record.name!r}", reached(model, motion.states, empty.u))
     return replace(empty, y=y)

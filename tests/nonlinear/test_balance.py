@@ -8,7 +8,7 @@ import pytest
 from truths.swing import Swing
 
 from casid import NonlinearModel, Scalar, Trim, parameter
-from casid.nonlinear.balance import Balance, balanced, carried
+from casid.nonlinear.balance import Balance, balanced
 
 
 class Sinking(NonlinearModel):
@@ -151,27 +151,31 @@ def test_a_balance_moves_with_the_parameters_as_its_closed_form(V):
     k, e, g = model.k, model.e, model.g
     root = np.sqrt((k * V) ** 2 + 4 * e * g)
     by_k, by_e = (k * V**2 / root - V) / (2 * e), g / (e * root) - (root - k * V) / (2 * e**2)
-    x, u, w, thr = rest.slopes  # by k, e, c
-    np.testing.assert_allclose(w, [by_k, by_e, 0.0], rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(thr, [0.0, 0.0, V**2], rtol=1e-6, atol=1e-8)  # it gives way
-    np.testing.assert_allclose([x, u], 0.0, atol=1e-12)
+    moves = rest.trim.moves
+    assert {name: origin for name, (_, origin) in moves["w"].items()} == {"k": k, "e": e}
+    assert [slope for slope, _ in moves["w"].values()] == pytest.approx([by_k, by_e], rel=1e-6)
+    assert moves["thr"]["c"][0] == pytest.approx(V**2, rel=1e-6)  # it gives way
+    assert set(moves) == {"w", "thr"}
 
 
 def test_moves_with_the_parameters_are_those_of_balancing_anew():
     names, trim = ("v", "a", "b", "lag"), Trim(values={"u": 50.0, "v": 1.0, "a": 0.57, "b": 0.29})
     ends = [balanced(replace(Shared(), Yv=Yv), trim).trim.values for Yv in (-0.1001, -0.0999)]
     below, above = ([each[name] for name in names] for each in ends)
-    moved = balanced(Shared(), trim).slopes[[1, 3, 4, 2], 0]
+    moves = balanced(Shared(), trim).trim.moves
+    moved = [moves[name]["Yv"][0] for name in names]
     np.testing.assert_allclose(moved, (np.array(above) - below) / 2e-4, rtol=1e-4)
 
 
-def test_slopes_are_carried_by_a_condition_that_moves():
-    model = Sinking()
-    rest = balanced(model, level(20.0))
-    moved = carried(model, rest)[:, 2]  # of w' by x, u, w, thr
-    w_by = rest.slopes[2]
-    np.testing.assert_allclose(moved[:, 1], -model.k * w_by, rtol=1e-9)
-    np.testing.assert_allclose(moved[:, 2], -2 * model.e * w_by, rtol=1e-9)
-    unknown = carried(model, Balance(rest.trim))
-    assert np.isnan(unknown[:, 2, 1:3]).all(), "nobody knows how the condition moves"
-    assert (unknown[:, 0] == 0).all(), "x' by u is one wherever it is"
+def test_a_linearisation_moves_with_its_condition():
+    model, V = Sinking(), 20.0
+    linear = model.at(balanced(model, level(V)).trim)
+    for name, step in (("k", 1e-6), ("e", 1e-6), ("c", 1e-8)):
+        value, ends = getattr(model, name), []
+        for end in (value - step, value + step):
+            other = replace(model, **{name: end})
+            anew = other.at(balanced(other, level(V)).trim).system()
+            kept = replace(linear, **{name: end}).system()
+            np.testing.assert_allclose(kept.A, anew.A, rtol=1e-9)
+            ends.append(kept.A)
+        assert np.abs(ends[1] - ends[0]).max() > 0

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, swung
 
-from casid import ModelError, NonlinearModel, Scalar, Trim, parameter
+from casid import (
+    ModelError,
+    NonlinearModel,
+    Record,
+    Scalar,
+    Trim,
+    output_error,
+    parameter,
+    simulate,
+)
 
 
 def test_a_nonlinear_structure_is_its_linearisation_at_its_reference():
@@ -126,3 +135,30 @@ def test_what_depends_on_nothing_is_told_in_the_words_of_equations(method, told)
     }
     with pytest.raises(ModelError, match=told):
         type("Still", (Bad,), {"__module__": __name__, **parts})().system()
+
+
+class Pressure(NonlinearModel):
+    """Dynamic pressure is measured and thrust goes by a square, from a hover at rest."""
+
+    states, inputs, outputs = ("u",), ("lon",), ("u", "qbar")
+
+    Xu: Scalar = parameter(default=-0.3, lower=-3.0, upper=0.0, unit="1/m")
+    thrust: Scalar = parameter(default=5.0, lower=0.0, upper=50.0, unit="m/s^2")
+
+    def derivatives(self, x, u):
+        return [self.Xu * x.u**2 + self.thrust * u.lon**2]
+
+    def measurements(self, x, u):  # noqa: ARG002 - what every structure writes
+        return [x.u, x.u**2 / 2]
+
+
+def test_slopes_that_vanish_at_the_reference_are_no_lack_of_dynamics():
+    t = 0.05 * np.arange(200)
+    still = Record(t, np.sin(t)[:, None], np.zeros((200, 2)), ("lon",), ("u", "qbar"), "hover")
+    record = simulate(Pressure(Xu=-0.4, thrust=4.0), still, {"u": 0.0})
+    fit = output_error(
+        Pressure(), record.with_noise({"u": 0.01, "qbar": 0.01}, np.random.default_rng(0))
+    )
+    assert fit.model.thrust == pytest.approx(4.0, abs=4 * fit["thrust"].std_error)
+    assert not np.any(Pressure().system().A)
+    assert Pressure().at({"u": 2.0}).system().C[1, 0] == 2.0

@@ -96,3 +96,42 @@ def test_starts_where_equations_have_no_value_are_no_reason_to_give_up():
     assert trim.values["v"] == pytest.approx(18 ** (2 / 3))
     with pytest.raises(ModelError, match=r"has no finite d/dt at v = -5, .*start the unknown"):
         find_trim(Rotor(turn=0.1), {"v": -5.0}, ["v"])
+
+
+class Climb(NonlinearModel):
+    """Speed and flight path of a point mass, which has no direction at rest."""
+
+    states, inputs, outputs = ("V", "gamma"), ("T", "alpha"), ("V", "gamma")
+
+    k: Scalar = parameter(default=0.2, lower=0.0, upper=1.0, unit="1/m")
+    d: Scalar = parameter(default=0.01, lower=0.0, upper=1.0, unit="1/m")
+    g: float = 9.80665
+
+    def derivatives(self, x, u):
+        along = u.T - self.d * x.V**2 - self.g * ca.sin(x.gamma)
+        across = self.k * u.alpha * x.V**2 - self.g * ca.cos(x.gamma)
+        return [along, across / x.V]
+
+    def reference(self):
+        return {"V": 20.0, "T": 4.0, "alpha": 0.12}
+
+
+def test_a_trim_that_the_equations_leave_open_is_one_of_many():
+    with pytest.warns(DataWarning, match="determine 2 of gamma, T, alpha, not 3; hold one") as told:
+        find_trim(Climb(), {"V": 20.0}, ["gamma", "T", "alpha"])
+    assert len(told) == 1, "each of many was told as another trim"
+
+
+def test_what_has_no_value_is_no_trim():
+    with pytest.raises(ModelError, match="no finite d/dt at V = 0"):
+        find_trim(Climb(), {"V": 0.0}, ["T", "alpha"])
+
+
+def test_a_trim_says_how_it_moves_with_the_parameters():
+    trim = find_trim(Climb(), {"V": 20.0}, ["T", "alpha"])
+    assert trim.values["alpha"] == pytest.approx(9.80665 / 80)
+    assert set(trim.moves) == {"T", "alpha"}
+    assert trim.moves["T"]["d"] == (pytest.approx(400.0), 0.01)
+    assert trim.moves["alpha"]["k"] == (pytest.approx(-9.80665 / 0.04 / 400), 0.2)
+    linear = Climb().at(trim)
+    assert replace(linear, k=0.2 + 1e-6).A()[1][0] != linear.A()[1][0]

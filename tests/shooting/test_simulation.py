@@ -44,7 +44,7 @@ def test_a_simulation_that_cannot_be_exact_says_so():
     t = 2.0 * np.arange(10)
     u = np.column_stack([np.arange(10) % 2, np.zeros(10)])
     coarse = Record(t, u, np.zeros((10, 2)), Saturating.inputs, Saturating.outputs, "coarse")
-    said = r"record 'coarse' move by [0-9e.-]+ of their size as steps are halved to 128 a sampling"
+    said = r"record 'coarse' moves by [0-9e.-]+ of its span as steps are halved to 128 a sampling"
     with pytest.warns(DataWarning, match=said):
         simulate(Saturating(rate=45.0), coarse, {"w": 0.0, "n": 0.0})
 
@@ -226,3 +226,32 @@ def test_steps_follow_what_is_flown_wherever_the_reference_is(usual, V, horizon)
     record = Record(t, el[:, None], y, ("el",), ("V", "a"), "fast", hold="zoh")
     found = validate({"fast": Flying(usual=usual)}, [record], horizon=horizon)
     assert found.rms["fast"][0, 1] < 1e-3 * np.std(a)
+
+
+class High(NonlinearModel):
+    """A fast mode of small rates, away from the reference, beside an altitude."""
+
+    states, inputs, outputs = ("h", "V", "q"), ("de",), ("h", "V", "q")
+
+    m: Scalar = parameter(default=0.04, lower=0.001, upper=1.0, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [x.V * x.q, 0.01 * (250.0 - x.V), self.m * x.V * (u.de - x.q)]
+
+    def reference(self):
+        return {"V": 20.0}
+
+
+def test_steps_are_short_enough_for_every_output():
+    t = 0.25 * np.arange(40)
+    de = 1e-4 * np.sin(2 * t)
+    still = Record(t, de[:, None], np.zeros((40, 3)), ("de",), ("h", "V", "q"), "high")
+    found = simulate(High(), still, {"h": 1e4, "V": 250.0, "q": 0.0})
+    A, B = -0.04 * 250, 0.04 * 250  # of q, whose input is straight between samples
+    expected = np.zeros(40)
+    for k in range(39):
+        slope = (de[k + 1] - de[k]) / 0.25
+        steady = de[k] - slope / B, slope  # q' = B (de - q)
+        decay = np.exp(A * 0.25)
+        expected[k + 1] = steady[0] + steady[1] * 0.25 + (expected[k] - steady[0]) * decay
+    np.testing.assert_allclose(found.y[:, 2], expected, atol=1e-5 * np.abs(expected).max())
