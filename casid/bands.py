@@ -30,6 +30,8 @@ from casid.propagation import drawn_models, first_order, known_errors, spread
 from casid.threads import one_thread
 
 DRAWS = 100  # of what a structure misses
+FAR = 4.0  # standard deviations of readings that belong elsewhere
+OFTEN = 0.05  # of the draws, for which a remark says so
 NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
 SAME = np.e - 1  # share of a pole within which a black box's is the same mode
 SAMPLES = 1000  # of poles that may: a standard deviation is known to 2 %
@@ -180,8 +182,8 @@ def response_band(
         A fit without covariance; a level or a frequency that makes no sense.
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
-    if not len(omega) or not (omega > 0).all():
-        raise ValueError("omega: expected frequencies above 0 rad/s")
+    if not len(omega) or not ((omega > 0) & np.isfinite(omega)).all():
+        raise ValueError("omega: expected finite frequencies above 0 rad/s")
     check_level(level, "share")
     center = fit.model.system().response(omega)
 
@@ -199,7 +201,7 @@ def response_band(
         level=level,
         inputs=fit.model.inputs,
         outputs=fit.model.outputs,
-        missed=0.0 if error is None else _as_normal(level) * error.at(omega) / size,
+        missed=0.0 if error is None else _as_normal(level) * error.of(fit).at(omega, center) / size,
     )
 
 
@@ -312,14 +314,38 @@ def handling_band(
     def of(model: Model) -> Array:
         return read(model.system().response(omega))
 
+    error = None if error is None else error.of(fit)
     std, G = spread(fit, of), fit.model.system().response(omega)
+    said: tuple[str, ...] = ()
     if error is not None:
-        drawn = _drawn(read, G, error.drawn(omega, DRAWS))
-        std = np.hypot(std, np.nanstd(drawn, axis=0))
+        drawn = _drawn(read, G, error.drawn(omega, G, DRAWS))
+        ends = np.array([_typical(column[np.isfinite(column)]) for column in drawn.T])
+        wide = np.ptp(ends, axis=1) / 2
+        std, said = np.hypot(std, wide), _elsewhere(drawn, ends.mean(axis=1), wide)
     found, (of_bandwidth, of_delay) = qualities(G), std.tolist()
     errors = {"bandwidth_std": of_bandwidth, "phase_delay_std": of_delay}
-    read_off = {name: getattr(found, name) for name in ("bandwidth", "phase_delay", "remarks")}
-    return HandlingBand(**read_off, **errors)
+    read_off = {name: getattr(found, name) for name in ("bandwidth", "phase_delay")}
+    return HandlingBand(**read_off, **errors, remarks=(*found.remarks, *said))
+
+
+def _typical(values: Array) -> Array:
+    """Between which values as many are as within a standard deviation of a normal number, (2,)."""
+    if not len(values):
+        return np.full(2, np.nan)
+    return np.asarray(np.quantile(values, scipy.special.ndtr([-1.0, 1.0])))
+
+
+def _elsewhere(drawn: Array, center: Array, wide: Array) -> tuple[str, ...]:
+    """That of draws (n, 2) many could not be read, or elsewhere: no deviation says that."""
+    # Where a phase comes near a line again, a small change of it makes a large one of the reading.
+    off = ~(np.abs(drawn - center) <= FAR * np.maximum(wide, 1e-300)) & ~np.isnan(center)
+    count = DRAWS - len(drawn) + int(off.any(axis=1).sum())
+    if count <= OFTEN * DRAWS:
+        return ()
+    return (
+        f"of {DRAWS} responses that what the structure misses allows, {count} have no bandwidth or "
+        "phase delay near these: the standard deviations are of the others",
+    )
 
 
 def _drawn(read: Callable[[ComplexArray], Array], G: ComplexArray, errors: ComplexArray) -> Array:

@@ -59,7 +59,8 @@ class Distance:
         Edges [rad/s].
     structure, structure_level : float
         Distance of the structure to the black box, and which one noise alone hardly exceeds. To the
-        errors counts one per cent of the pair's response, which no black box is without.
+        errors count one per cent of the pair's response, which no black box is without, and what
+        goes on between samples, which it does not see.
     measured, measured_level : float
         Those of the black box to the measured response, in errors of both; NaN where none is
         coherent.
@@ -343,7 +344,7 @@ def _measured(
         return {}
     omega, G = data.omega[usable], data.G[usable, i, j]
     at = box.system.outputs.index(pair[0]), box.system.inputs.index(pair[1])
-    own = box.system.response(omega)[:, *at]
+    own = box.response(omega)[:, *at]
     # Errors of neighbouring frequencies are alike; those of the two responses, if both are of the
     # same records, as well, which makes them less apart than is allowed for.
     cells = np.abs(omega[:, None] - omega) * max(data.windows, default=0.0) / (2 * np.pi * CELLS)

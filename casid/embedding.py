@@ -11,11 +11,12 @@ IEEE Transactions on Automatic Control 37(7), 1992 (stochastic embedding), with 
 box of the same records.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casid.arrays import Array, ComplexArray
+from casid.checks import check_asked
 from casid.display import Shown, counted
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
@@ -48,6 +49,8 @@ class StructureError(Shown):
         Standard deviations of their real and imaginary parts [rad/s].
     free_names, inputs, outputs : tuple of str
         Parameters and channels.
+    size : (K, ny, nu) array
+        abs(G) of the fit's response.
     """
 
     omega: Array
@@ -58,6 +61,7 @@ class StructureError(Shown):
     free_names: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    size: Array
 
     def __post_init__(self) -> None:
         seal(self)
@@ -70,18 +74,48 @@ class StructureError(Shown):
             f"{self.omega[-1]:.3g} rad/s"
         )
 
-    def at(self, omega: Array) -> Array:
-        """Its ``std`` at other frequencies (n, ny, nu); outside the band, that of its edge."""
-        flat = self.std.reshape(len(self.omega), -1)
-        columns = [np.interp(np.log(omega), np.log(self.omega), column) for column in flat.T]
-        return np.array(columns).T.reshape(len(omega), *self.std.shape[1:])
+    def of(self, fit: AnyFit) -> "StructureError":
+        """The same in the order of a fit's channels and parameters; ValueError: it lacks one."""
+        order = {}
+        for kind, wanted, known in (
+            ("output", fit.model.outputs, self.outputs),
+            ("input", fit.model.inputs, self.inputs),
+            ("free parameter", fit.free_names, self.free_names),
+        ):
+            if missing := [name for name in wanted if name not in known]:
+                raise ValueError(
+                    f"the structure error knows no {kind} {missing[0]!r}, only "
+                    f"{', '.join(known)}: ask for that of this fit, structure_error(fit, black_box)"
+                )
+            order[kind] = [known.index(name) for name in wanted]
+        rows, columns, free = order.values()
+        return replace(
+            self,
+            std=self.std[:, rows][:, :, columns],
+            size=self.size[:, rows][:, :, columns],
+            covariance=self.covariance[np.ix_(free, free)],
+            free_names=fit.free_names, inputs=fit.model.inputs, outputs=fit.model.outputs,
+        )  # fmt: skip
 
-    def drawn(self, omega: Array, count: int, *, seed: int = 0) -> ComplexArray:
-        """Realisations Δ (count, n, ny, nu) at frequencies."""
+    def at(self, omega: Array, G: ComplexArray) -> Array:
+        """Its ``std`` at other frequencies (n, ny, nu), where the fit's response is G (n, ny, nu).
+
+        Outside the band it is the share of the response that it is at its edge.
+        """
+        flat, size = (part.reshape(len(self.omega), -1) for part in (self.std, self.size))
+        columns = [np.interp(np.log(omega), np.log(self.omega), column) for column in flat.T]
+        found = np.array(columns).T
+        for k, outside in ((0, omega < self.omega[0]), (-1, omega > self.omega[-1])):
+            ratio = np.abs(G[outside]).reshape(-1, flat.shape[1]) / np.maximum(size[k], 1e-300)
+            found[outside] *= np.where(size[k] > 0, ratio, 1.0)
+        return found.reshape(len(omega), *self.std.shape[1:])
+
+    def drawn(self, omega: Array, G: ComplexArray, count: int, *, seed: int = 0) -> ComplexArray:
+        """Realisations Δ (count, n, ny, nu) at frequencies, where the fit's response is G."""
         rng, shape = np.random.default_rng(seed), (len(omega), *self.std.shape[1:])
         root = _root(omega) / np.sqrt(2)
         z = rng.standard_normal((count, *shape)) + 1j * rng.standard_normal((count, *shape))
-        return np.asarray(np.einsum("kl,nlij->nkij", root, z) * self.at(omega))
+        return np.asarray(np.einsum("kl,nlij->nkij", root, z) * self.at(omega, G))
 
 
 def missed_quantile(level: float) -> float:
@@ -140,6 +174,7 @@ def structure_error(
     ValueError
         A black box without uncertainty or without a channel of the structure.
     """
+    check_asked(band, 1 / 2)
     low, high = black_box.band if band is None else band
     free = movable(fit)
     omega = np.geomspace(low, high, POINTS)
@@ -171,4 +206,5 @@ def structure_error(
         free_names=free.names,
         inputs=free.model.inputs,
         outputs=free.model.outputs,
+        size=np.abs(G),
     )

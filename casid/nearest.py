@@ -60,10 +60,13 @@ class BoxResponse:
             places.append([known.index(name) for name in wanted])
         rows, columns = places
         sizes = black_box.input_std[columns] / black_box.output_std[rows][:, None]
-        G = sizes * system.response(omega)[:, rows][:, :, columns]
+        G, images = (
+            sizes * part(omega)[:, rows][:, :, columns]
+            for part in (black_box.response, black_box.images)
+        )
         F = np.nan_to_num(black_box.response_factor(omega)[:, rows][:, :, columns]) * G[..., None]
         row = np.sum(np.abs(G) ** 2, axis=2, keepdims=True)
-        allowed = np.sqrt((ALLOWED * np.abs(G)) ** 2 + OF_ROW**2 * row)
+        allowed = np.sqrt((ALLOWED * np.abs(G)) ** 2 + OF_ROW**2 * row + images**2)
         excitation, fed_back = black_box.excitation, np.zeros(G[:, 0].shape, dtype=bool)
         if excitation is not None:
             fed_back = excitation.fed_back(model.inputs, omega)

@@ -70,7 +70,7 @@ def known_errors(fit: AnyFit, error: StructureError | None) -> tuple[tuple[str, 
         warn_unbalanced(fit.model, "these are bands of its linearisation there")
     if error is not None:
         held = np.array([fit[name].active for name in names], dtype=bool)
-        C = C + np.where(held[:, None] | held, 0.0, error.covariance)
+        C = C + np.where(held[:, None] | held, 0.0, error.of(fit).covariance)
     return names, C
 
 

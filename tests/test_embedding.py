@@ -1,7 +1,7 @@
 """What a structure misses, as a process: small where it is true, large enough where it is not."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -178,9 +178,9 @@ def test_draws_have_the_size_and_the_memory_that_are_stated():
     made = StructureError(
         omega=omega, std=np.linspace(1, 2, 6)[:, None, None], covariance=np.eye(1),
         poles=np.array([-1.0 + 0j]), pole_std=np.zeros((2, 1)), free_names=("a",),
-        inputs=("u",), outputs=("y",),
+        inputs=("u",), outputs=("y",), size=np.full((6, 1, 1), 4.0),
     )  # fmt: skip
-    drawn = made.drawn(omega, 4000, seed=1)[:, :, 0, 0]
+    drawn = made.drawn(omega, np.ones((6, 1, 1)), 4000, seed=1)[:, :, 0, 0]
     np.testing.assert_allclose(
         np.mean(np.abs(drawn) ** 2, axis=0), made.std[:, 0, 0] ** 2, rtol=0.1
     )
@@ -188,5 +188,38 @@ def test_draws_have_the_size_and_the_memory_that_are_stated():
     step = np.log(omega[1] / omega[0])
     expected = np.exp(-0.5 * (step / 0.35) ** 2)
     assert np.mean(unit[:, 0] * unit[:, 1].conj()).real == pytest.approx(expected, abs=0.05)
-    np.testing.assert_allclose(made.at(np.array([0.1, 100.0]))[:, 0, 0], [1, 2])  # its edges'
+    outside = made.at(np.array([0.1, 100.0]), np.array([8.0, 0.4j])[:, None, None])[:, 0, 0]
+    np.testing.assert_allclose(outside, [2.0, 0.2])  # of the response the edges' shares
     assert "std at 10 rad/s" in made._repr_html_()
+
+
+def test_an_error_is_that_of_channels_and_parameters_not_of_their_places():
+    fit, whole = fitted("wrong"), error("wrong")
+    turned = replace(
+        whole, std=whole.std[:, ::-1, ::-1], size=whole.size[:, ::-1, ::-1],
+        covariance=whole.covariance[::-1, ::-1], free_names=whole.free_names[::-1],
+        inputs=whole.inputs[::-1], outputs=whole.outputs[::-1],
+    )  # fmt: skip
+    bands = [response_band(fit, OMEGA, error=each).missed for each in (whole, turned)]
+    np.testing.assert_array_equal(*bands)
+    assert [str(mode_bands(fit, error=each)) for each in (whole, turned)]
+    first, second = (mode_bands(fit, error=each) for each in (whole, turned))
+    np.testing.assert_allclose([b.real_std for b in first], [b.real_std for b in second])
+    other = replace(whole, outputs=("ax", *whole.outputs[1:]))
+    for ask in (response_band, partial(handling_band, pair=("phi", "lat"))):
+        with pytest.raises(ValueError, match="structure error knows no output 'ay', only ax"):
+            ask(fit, omega=np.geomspace(0.5, 40, 200), error=other)
+    with pytest.raises(ValueError, match="knows no free parameter"):
+        mode_bands(fit, error=replace(whole, free_names=("a",) * len(whole.free_names)))
+
+
+def test_a_reading_far_off_in_a_few_draws_is_no_standard_deviation():
+    # Far above the band a small part of the response is missed, and the phase is read there too.
+    fit, missed = fitted("true"), error("true")
+    small = replace(missed, std=0.02 * missed.size)
+    wide = [
+        handling_band(fit, ("phi", "lat"), np.geomspace(0.5, top, 300), error=small)
+        for top in (20.0, 40.0, 80.0)
+    ]
+    spreads = np.array([each.phase_delay_std for each in wide])
+    assert np.ptp(spreads) < 0.3 * spreads.mean()

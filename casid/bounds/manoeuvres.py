@@ -66,8 +66,10 @@ class StructureComparison:
 
     @property
     def best(self) -> str:
-        """The candidate with the smallest errors."""
-        return self.names[int(np.argmin(self._size(self.errors)))]
+        """The candidate that failed least, of these with the smallest errors where none failed."""
+        failed = np.isinf(self.errors).any(axis=2)
+        size = self._size(self.errors[:, ~failed.any(axis=0)])
+        return self.names[int(np.lexsort((size, failed.sum(axis=1)))[0])]
 
     @property
     def excess(self) -> tuple[Array, Array]:

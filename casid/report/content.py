@@ -175,7 +175,7 @@ class Content:
     def missed(self) -> dict[str, StructureError]:
         """What linear structures with a covariance miss, by a black box of the same channels."""
         box = self.results.get("pbsid")
-        if not isinstance(box, BlackBox) or box.uncertainty is None or box.missed:
+        if not isinstance(box, BlackBox) or not box.measures:
             return {}
         known = {*box.system.inputs, *box.system.outputs}
         return {

@@ -35,8 +35,9 @@ class Sufficiency:
 
 def _run(settings: Sufficiency, task: Task) -> Distances:
     fit, box = task.results["output_error"], task.results["pbsid"]
-    # The unit of all distances are the black box's errors, which a model of too low an order lacks.
-    if box.uncertainty is None or box.missed or isinstance(fit.model, NonlinearModel):
+    # The unit of all distances are the black box's errors, which one of too low an order lacks, and
+    # one that feedback biases.
+    if not box.measures or isinstance(fit.model, NonlinearModel):
         raise LeftOutError
     omega = getattr(task.settings.get("match"), "omega", None)
     low, high = box.band if omega is None else (float(min(omega)), float(max(omega)))

@@ -20,6 +20,7 @@ from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubt
 from casid.textfile import read_json, write_json
 from casid.values import DAMAGED, decode, encode, storable
 
+IMAGES = 3  # on either side that are looked at
 GRID = 100  # frequencies
 
 
@@ -72,12 +73,16 @@ class BlackBox(Shown):
         where noise fed back would have biased that; on samples "linear", "prediction",
         "simulation" or "local simulation", see `Pbsid`.
     hold : {"foh", "zoh"}
-        What the inputs of a discrete black box do between samples.
+        What the inputs do between samples.
+    interval : float or None
+        Sampling interval of the records [s], if it is known.
     excitation : Excitation or None
         How much of the inputs came from outside; None of records too short to tell.
     remarks : tuple of str
         What is wrong with the records themselves: stretches that were not measured, a channel that
         disagrees with the other records, noise fed back that biases this black box.
+    biased : bool
+        Whether noise fed back may: then it is no measure of a structure.
     """
 
     system: StateSpace
@@ -103,6 +108,8 @@ class BlackBox(Shown):
     hold: Hold = "zoh"
     excitation: Excitation | None = None
     remarks: tuple[str, ...] = ()
+    interval: float | None = None
+    biased: bool = False
 
     def headline(self) -> str:
         """Order, band, where it comes from, what is doubtful."""
@@ -149,6 +156,11 @@ class BlackBox(Shown):
         doubts = (*self.remarks, *outside, *growth, *order_doubts(self.missed, self.order))
         return (*self.unsupported(), *doubts)
 
+    @property
+    def measures(self) -> bool:
+        """Whether a structure may be measured by it: its errors are known and hold."""
+        return self.uncertainty is not None and not self.missed and not self.biased
+
     def unsupported(self) -> tuple[str, ...]:
         """Why records do not support any model; empty where they do, or where it is not known."""
         return () if self.explained is None else data_doubts(self.explained, self.system.outputs)
@@ -166,6 +178,33 @@ class BlackBox(Shown):
         back = power * self.excitation.fed_back(self.system.inputs, omega)[:, None]
         mostly = back.sum(axis=(0, 2)) > power.sum(axis=(0, 2)) / 2
         return tuple(np.array(self.system.outputs)[mostly].tolist())
+
+    def response(self, omega: Array) -> ComplexArray:
+        """G (K, ny, nu) to inputs that are not held: of a discrete black box without its hold.
+
+        Exact but for what goes on beyond half the sampling frequency, see `images`.
+        """
+        G = self.system.response(omega)
+        if self.system.dt is None:
+            return G
+        half = np.asarray(omega)[:, None, None] * self.system.dt / 2
+        lag = np.sinc(half / np.pi)
+        return np.asarray(G / (lag * np.exp(-1j * half) if self.hold == "zoh" else lag**2))
+
+    def images(self, omega: Array) -> Array:
+        """How far samples leave the response open, (K, ny, nu), as held inputs have images.
+
+        Samples show the sum of G at ω and at ω + 2πk/h, weighted by what the hold passes: ω over
+        ω + 2πk/h, squared for inputs in straight lines. There G is taken to be 3 dB below that at a
+        quarter of the sampling frequency, of any phase, and so is that of a model of the samples.
+        """
+        if not self.interval:
+            return np.zeros((len(omega), len(self.system.outputs), len(self.system.inputs)))
+        power, rate = (1 if self.hold == "zoh" else 2), 2 * np.pi / self.interval
+        k = np.delete(np.arange(-IMAGES, IMAGES + 1), IMAGES)
+        passed = (np.asarray(omega)[:, None] / np.abs(omega[:, None] + k * rate)) ** power
+        beyond = np.abs(self.response(np.array([rate / 4])))
+        return np.asarray(np.linalg.norm(passed, axis=1)[:, None, None] * beyond)
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
         """Relative standard deviation of abs(G) and standard deviation of its phase [rad].

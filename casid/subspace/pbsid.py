@@ -287,7 +287,8 @@ class Pbsid:
             doubtful=estimate.doubtful, missed=estimate.missed,
             refinement="prediction" if causal else settings.refinement,
             hold=campaign.records[0].hold, excitation=excitation_if_any(campaign.records),
-            remarks=tuple(remarks),
+            remarks=tuple(remarks), biased=bool(estimate.remark),
+            interval=float(np.median(np.concatenate([np.diff(r.t) for r in campaign.records]))),
         )  # fmt: skip
 
 

@@ -223,8 +223,9 @@ def _at_order(
 def _warn_fed_back(remedy: str) -> str:
     """Warn that the estimate is biased; what was said."""
     said = (
-        "the controller feeds so much of the outputs' noise back into the inputs that the black "
-        f"box may be biased; {remedy}; a smaller pole or less feedback helps too"
+        "inputs follow what the black box leaves of outputs so much, noise that a controller feeds "
+        "back or dynamics that it lacks, such as a delay, that it may be biased and is no measure "
+        f"of a structure; {remedy}; a smaller pole or less feedback helps too"
     )
     warn(said)
     return said[0].upper() + said[1:] + "."

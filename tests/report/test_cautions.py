@@ -260,8 +260,7 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
     ),
     "of an input that gusts move by feedback": (
         PEDALS, None, partial(with_pedals, moved=hardly, feedback=1.0, gust=2.0),
-        ["Of p, phi the black box is no measure of the structure where outputs feed an input back",
-         "The controller feeds so much of the outputs' noise back into the inputs",
+        ["Inputs follow what the black box leaves of outputs so much, noise that a controller",
          "Of input ped only "],
     ),
 }  # fmt: skip

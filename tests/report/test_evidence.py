@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 from truths.roll_study import Truth, write_study
 
 from casid import (
@@ -143,7 +144,7 @@ class Estimate:
         return self.row
 
 
-def judged(late):
+def judged(late, gust=0.0, process_noise=False):
     """What is told of two validation records of the roll axis, the sticks of one maybe late."""
     rng, t = np.random.default_rng(1), 0.02 * np.arange(1000)
     u = 0.05 * np.repeat(rng.choice([-1.0, 1.0], 25), 40)[:, None]
@@ -151,13 +152,28 @@ def judged(late):
     for name, lag in (("own", 0), ("new", 0), ("old", late)):
         stick = np.roll(u, 13 * len(records), axis=0)
         clean = Truth().system().simulate(t, np.roll(stick, -lag, axis=0))
+        clean += gust * turned(rng.standard_normal(1000))
         y = clean + 0.003 * rng.standard_normal((1000, 2))
         records.append(Record(t, stick, y, ("lat",), ("p", "phi"), name))
-    fit = output_error(Truth(), records[0])
+    fit = output_error(Truth(), records[0], process_noise=process_noise)
     models = {"black box": fit.model.system(), "output error": fit}
     found = validate(models, records[1:])
     content = SimpleNamespace(fits={"output error": fit}, delivered="output error")
     return [each.text for each in unexplained_records(found, content)]
+
+
+def turned(white):
+    """Motion (1000, 2) of the roll axis by white accelerations held over the samples."""
+    system = Truth().system()
+    A, B = scipy.linalg.expm(0.02 * system.A), 0.02 * np.eye(system.nx)[0]
+    x = np.zeros((1000, system.nx))
+    for k in range(999):
+        x[k + 1] = A @ x[k] + B * white[k]
+    return x @ system.C.T
+
+
+def test_turbulence_is_no_other_aircraft():
+    assert judged(0, gust=2.0, process_noise=True) == []
 
 
 def test_a_validation_record_that_no_model_explains_is_told():

@@ -46,7 +46,7 @@ def test_an_input_that_is_fed_back_is_told_of_instead_of_the_structure():
 
 
 def test_a_black_box_without_errors_is_no_measure():
-    results = {"pbsid": SimpleNamespace(uncertainty=None), "output_error": None}
+    results = {"pbsid": SimpleNamespace(measures=False), "output_error": None}
     with pytest.raises(LeftOutError):
         SUFFICIENCY.run(Sufficiency(), SimpleNamespace(results=results))
 

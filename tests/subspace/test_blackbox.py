@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import scipy.linalg
 from truths.systems import known_black_box, sampled_plant, unstable_plant
 
 from casid import BlackBox, StateSpace
+from casid.subspace.trust import Missed
 
 
 def test_doubts_are_those_of_the_data_then_of_growth():
@@ -95,3 +97,32 @@ def test_a_damaged_black_box_is_refused_by_the_name_of_its_field(field, tmp_path
 def test_a_black_box_of_samples_has_no_pole_and_is_read(tmp_path):
     replace(known_black_box(sampled_plant()), transform="none").save(tmp_path / "box.json")
     assert np.isnan(BlackBox.load(tmp_path / "box.json").pole)
+
+
+def lagged(hold, dt=0.1, a=4.0):
+    """y' = -a y + u in samples, by hand for either hold."""
+    E = np.exp(-a * dt)
+    if hold == "zoh":
+        return StateSpace([[E]], [[(1 - E) / a]], [[1.0]], [[0.0]], dt)
+    ahead = (a * dt - 1 + E) / (a * a * dt)  # of the next input, in straight lines to it
+    now = (1 - E) / a - ahead
+    return StateSpace([[E]], [[now + E * ahead]], [[1.0]], [[ahead]], dt)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_a_response_of_samples_is_that_to_inputs_that_are_not_held(hold):
+    box = replace(known_black_box(lagged(hold)), hold=hold, interval=0.1)
+    omega = np.array([0.1, 1.0, 5.0, 20.0])
+    G = 1 / (1j * omega + 4)
+    off, left = np.abs(box.response(omega)[:, 0, 0] - G), box.images(omega)[:, 0, 0]
+    assert (off[:3] <= left[:3]).all(), "what goes on between samples was told too small"
+    assert (left[:3] < np.array([1e-3, 0.01, 0.07]) * np.abs(G[:3])).all()
+    assert not replace(box, interval=None).images(omega).any()
+
+
+def test_a_black_box_measures_unless_its_errors_do_not_hold():
+    plain = known_black_box(unstable_plant())
+    known = replace(plain, uncertainty=SimpleNamespace())
+    missed = Missed(output="p", omega=2.0, ratio=3.0, order=4)
+    found = [plain, known, replace(known, biased=True), replace(known, missed=missed)]
+    assert [box.measures for box in found] == [False, True, False, False]
