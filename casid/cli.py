@@ -16,7 +16,7 @@ BAD_OUTPUT = 2  # exit code, as of bad input
 COMMANDS: Mapping[str, tuple[str, str]] = {  # place, and what the list of commands says
     "bounds": ("study:bounds", "Compare the cases of a study's table [bounds], price bounds."),
     "check": ("study:check", "Check a study or a model file; estimate nothing."),
-    "convert": ("data:convert", "Turn records, responses and fits into other tools' files."),
+    "convert": ("conversion:convert", "Turn records, responses and fits into other tools' files."),
     "design": ("design:design", "Design the next flight of a study."),
     "identify": ("study:identify", "Identify the structure a study names and write its report."),
     "import": ("logs:import_command", "Turn a log (PX4, ArduPilot, TDMS) into a study."),

@@ -25,6 +25,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.checks import check_asked
 from casid.display import Shown
+from casid.errors import warn
 from casid.fit import AnyFit
 from casid.free import Free
 from casid.frequency.response import FrequencyResponse, response_of_pair
@@ -232,10 +233,15 @@ def distances(
     ------
     ValueError
         A black box without uncertainty or without a channel of the structure, a band or a level
-        that makes no sense.
+        that makes no sense. A `DataWarning` tells of a black box that is no measure of a structure.
     """
     low, high = band = black_box.band if band is None else band
     check_asked(band, level)
+    if black_box.uncertainty is not None and not black_box.measures:
+        warn(
+            "distances: this black box is no measure of a structure, its errors do not hold: "
+            f"{' '.join(black_box.doubts())}"
+        )
     free = movable(fit)
     octaves = max(1, round(float(np.log2(high / low))))
     target = BoxResponse.of(black_box, free.model, np.geomspace(low, high, octaves * OCTAVE + 1))

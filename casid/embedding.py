@@ -94,8 +94,10 @@ class StructureError(Shown):
             std=self.std[:, rows][:, :, columns],
             size=self.size[:, rows][:, :, columns],
             covariance=self.covariance[np.ix_(free, free)],
-            free_names=fit.free_names, inputs=fit.model.inputs, outputs=fit.model.outputs,
-        )  # fmt: skip
+            free_names=fit.free_names,
+            inputs=fit.model.inputs,
+            outputs=fit.model.outputs,
+        )
 
     def at(self, omega: Array, G: ComplexArray) -> Array:
         """Its ``std`` at other frequencies (n, ny, nu), where the fit's response is G (n, ny, nu).

@@ -1,6 +1,7 @@
 """Records from CSV and MATLAB files, units converted, and as CSV."""
 
 import csv
+import io
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -206,10 +207,22 @@ def _complete(
 def write_csv(path: str | Path, record: Record) -> None:
     """Write a record as CSV, SI units; what was subtracted as trim is added back."""
     table = {"t": record.t} | record.totals()
-    lines = [",".join(table)]
+    lines = [csv_header(table)]
     rows = np.column_stack(list(table.values()))
     lines += [",".join(f"{value:.10g}" for value in row) for row in rows]
     write_text(path, "\n".join(lines) + "\n")
+
+
+def csv_header(names: Iterable[str]) -> str:
+    """The first line of a CSV file of columns; ValueError for a name that is not read back."""
+    for name in names:
+        if name != name.strip() or not name:
+            raise ValueError(
+                f"channel {name!r} begins or ends with a blank, which CSV does not keep; rename it"
+            )
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(names)
+    return line.getvalue()
 
 
 def _check_magnitude(record: str, channel: str, values: Array) -> None:

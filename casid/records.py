@@ -9,7 +9,7 @@ import scipy
 from casid.arrays import Array
 from casid.display import listed
 from casid.errors import warn
-from casid.record import FEWEST, Record
+from casid.record import FEWEST, Hold, Record
 from casid.samples import jumps, known_mean
 from casid.values import digest
 
@@ -182,3 +182,9 @@ def _spread(values: Array) -> Array:
     mean = known_mean(values)
     spread = np.sqrt(known_mean((values - mean) ** 2))
     return np.where(spread > 1e-12 * np.abs(mean), spread, 1.0)
+
+
+def common_hold(records: Sequence[Record]) -> Hold | None:
+    """What inputs do between the samples of all records; None where these differ."""
+    holds = {record.hold for record in records}
+    return holds.pop() if len(holds) == 1 else None

@@ -1,5 +1,7 @@
 """Files: units, missing cells, trim, and errors that name file and column."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.io
@@ -196,3 +198,12 @@ def test_units_of_another_quantity_are_refused_of_time_and_told_of_channels(tmp_
         read_csv(path, inputs=["lat"], outputs=["p"], units={"t": "ft"})
     with pytest.warns(DataWarning, match="p is said to be in kt, where rad/s is usual"):
         read_csv(path, inputs=["lat"], outputs=["p"], units={"p": "kt"})
+
+
+def test_names_of_channels_are_read_back_or_refused(tmp_path):
+    names = {"inputs": ('stick, "left"',), "outputs": ("p",)}
+    record = Record(np.arange(3.0), np.ones((3, 1)), np.arange(3.0)[:, None], *names.values())
+    write_csv(tmp_path / "a.csv", record)
+    np.testing.assert_array_equal(read_csv(tmp_path / "a.csv", **names).y, record.y)
+    with pytest.raises(ValueError, match="' p' begins or ends with a blank"):
+        write_csv(tmp_path / "b.csv", replace(record, outputs=(" p",)))

@@ -1,9 +1,11 @@
 """Options of commands that read records: units, names of columns, time."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import click
+
+from casid.record import Hold
 
 T = TypeVar("T")
 
@@ -43,6 +45,14 @@ COLUMN = click.option(
     callback=pairs(str),
     metavar="CHANNEL=COLUMN",
     help="Column that holds a channel under another name, such as p=ROLL_RATE; may be repeated.",
+)
+MODEL = click.option(
+    "--model", "structure", metavar="MODEL.py:CLASS", help="Structure, models/six_dof.py:SixDof."
+)
+HOLD = click.option(
+    "--hold",
+    type=click.Choice(get_args(Hold)),
+    help="What inputs do between samples: as in the records of the fit, else foh.",
 )
 TIME_COLUMN = "t"
 TIME = click.option("--time", default=TIME_COLUMN, show_default=True, help="Column of instants.")

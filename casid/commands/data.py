@@ -1,8 +1,8 @@
-"""Commands about files: convert, inspect, simulate, new-model."""
+"""Commands about records and structures: inspect, simulate, new-model."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import click
 import numpy as np
@@ -12,29 +12,29 @@ from rich.text import Text
 
 from casid.channels import CONTROLS, UNITS
 from casid.checks import check_known
-from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
+from casid.commands.columns import (
+    COLUMN,
+    HOLD,
+    MODEL,
+    TIME,
+    TIME_COLUMN,
+    UNIT,
+    refuse_beside_study,
+)
+from casid.commands.conversion import files_of, hold_of, load_fit
 from casid.commands.inspection import Inspection, RecordFacts, inspect_records, unit_advice
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table
 from casid.consistency.kinematics import KinematicCheck
 from casid.display import counted
 from casid.exchange import formats
-from casid.exchange.code import write_c, write_fmu
-from casid.exchange.equations import equations_of
-from casid.exchange.listing import write_equations
-from casid.exchange.standalone import write_module
-from casid.fit import AnyFit, Fit, is_fit
-from casid.folder import check_target, spare
-from casid.frequency.response import FrequencyResponse
-from casid.jobs.origins import structure_files
+from casid.folder import check_target
 from casid.model import Model
-from casid.nonlinear.model import NonlinearModel
-from casid.record import Record
+from casid.record import Hold, Record
 from casid.report.tables import cells
-from casid.structure.modelfile import load_model, locate_model
+from casid.structure.modelfile import load_model
 from casid.studies.study import read_flights
 from casid.studies.studyfile import read_study
-from casid.textfile import read_json
 from casid.validation import validate
 
 
@@ -42,102 +42,7 @@ def _names(_: click.Context, __: click.Parameter, value: str | None) -> tuple[st
     return tuple(name.strip() for name in (value or "").split(",") if name.strip())
 
 
-MODEL = click.option(
-    "--model", "structure", metavar="MODEL.py:CLASS", help="Structure, models/six_dof.py:SixDof."
-)
 WRITTEN = "Write inputs, measured and simulated outputs (p, p_sim) as .csv, .mat or .parquet."
-
-
-@click.command()
-@click.argument("source", metavar="FROM")
-@click.argument("target", metavar="TO")
-@UNIT
-@MODEL
-@click.option(
-    "--mat-version",
-    type=click.Choice(get_args(formats.MatVersion)),
-    default="5",
-    show_default=True,
-    help="Of a record written as .mat.",
-)
-@click.option("--dt", type=float, help="Sampling interval [s] of a fit written as .c.")
-@click.option("--pade", type=int, help="Order of the delays' approximation in .fmu, .m.")
-def convert(
-    source: str,
-    target: str,
-    units: dict[str, str],
-    structure: str | None,
-    mat_version: formats.MatVersion,
-    dt: float | None,
-    pade: int | None,
-) -> None:
-    """Turn a file into another format; suffixes say which. TO is replaced if it is there.
-
-    \b
-    FROM                                   TO
-    record .csv .mat (5 to 7.3) .parquet   .csv .mat .parquet
-    frequency response .json               .json .csv .mat      (stages/frequency.json of a study)
-    fit .json, with --model                .mat, .m (dx/dt and y), .py (simulates with NumPy alone;
-                                           dx/dt and y if nonlinear), .fmu (FMI 3.0), .c (steps the
-                                           model, with --dt)
-
-    Parquet and version 7.3 need: pip install 'casid[tables]'. Of a record all columns are taken,
-    whether inputs or outputs; --unit turns one into SI on the way.
-    """  # noqa: D301
-    with exits() as console:
-        check_target(target, source)
-        if Path(source).suffix.lower() == ".json":
-            if units:
-                raise ValueError("--unit is for records; a response or a fit is in SI already")
-            done = _convert_result(Path(source), Path(target), structure, (dt, pade))
-        else:
-            table = formats.in_si(formats.read_table(source), units)
-            formats.write_table(target, table, version=mat_version)
-            rows = len(next(iter(table.values())))
-            done = f"{rows} samples of {', '.join(table)}"
-        console.print(Text(f"{target}: {done}"), soft_wrap=True)
-
-
-def _convert_result(
-    source: Path, target: Path, structure: str | None, steps: tuple[float | None, int | None]
-) -> str:
-    if not is_fit(read_json(source)):
-        response = FrequencyResponse.load(source)
-        formats.write_frequency(target, response)
-        return f"{len(response.omega)} frequencies, {counted(len(response.outputs), 'output')}"
-    fit = _load(source, structure)
-    spare(target, *_files(structure))
-    told = f"{type(fit.model).__name__} after {fit.method}"
-    nonlinear = isinstance(fit.model, NonlinearModel)
-    model = fit.model if isinstance(fit.model, NonlinearModel) else fit.model.system()
-    if target.suffix == ".mat":
-        formats.write_fit_mat(target, fit)
-        return told + ", linear at its reference condition" * nonlinear
-    if target.suffix == ".m" or (nonlinear and target.suffix == ".py"):
-        write_equations(target, equations_of(model, steps[1]), title=told)
-    elif target.suffix == ".py":
-        write_module(target, fit.model.system(), title=told)
-    elif target.suffix == ".fmu":
-        write_fmu(target, model, pade=steps[1])
-    elif target.suffix == ".c":
-        if steps[0] is None:
-            raise ValueError("C source steps at one interval: give it, --dt 0.02")
-        write_c(target, model, dt=steps[0])
-    else:
-        known = ".mat, .m, .py, .c or .fmu"
-        raise ValueError(f"{target}: a fit becomes {known}, not {target.suffix!r}")
-    return told
-
-
-def _load(source: Path, structure: str | None) -> AnyFit:
-    if structure is None:
-        raise ValueError(f"{source} is a fit: name its structure, --model models/six_dof.py:SixDof")
-    return Fit.load(source, model=load_model(structure))
-
-
-def _files(structure: str | None) -> Sequence[Path]:
-    """A structure's file and those of the user's that it imports."""
-    return [] if structure is None else list(structure_files(locate_model(structure)[0]))
 
 
 @click.command("inspect")
@@ -314,6 +219,7 @@ def kinematics_table(found: KinematicCheck) -> Table:
     show_default=True,
     help="Trim that is removed first: the mean before an input moves, the mean, or nothing.",
 )
+@HOLD
 @click.option("--output", "-o", metavar="FILE", help=WRITTEN)
 def simulate(
     fit: str,
@@ -323,6 +229,7 @@ def simulate(
     renamed: dict[str, str],
     time: str,
     detrend: str,
+    hold: Hold | None,
     output: str | None,
 ) -> None:
     """Simulate a fitted model with the inputs of a record, and measure what it misses.
@@ -332,15 +239,17 @@ def simulate(
     Theil's coefficient is 0 for a perfect prediction, 1 for a useless one.
     """
     with exits() as console:
-        model = _load(Path(fit), structure).model
+        flying = load_fit(Path(fit), structure)
+        model, hold = flying.model, hold or hold_of(flying)
         if output is not None:
-            check_target(output, record, fit, *_files(structure))
+            check_target(output, record, fit, *files_of(structure))
         how: Any = None if detrend == "none" else detrend
         names: Any = {
             kind: {name: renamed.get(name, name) for name in getattr(model, kind)}
             for kind in ("inputs", "outputs")
         }
-        flown = formats.read_record(record, **names, time=time, units=units, detrend=how)
+        names |= {"time": time, "units": units, "detrend": how, "hold": hold}
+        flown = formats.read_record(record, **names)
         found = validate({"model": model}, [flown])
         title = f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s"
         table = new_table(title, "output", "rms error", "unit", "fit [%]", "Theil")

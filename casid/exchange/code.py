@@ -14,7 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.channels import UNITS
 from casid.checks import optional
-from casid.exchange.delays import check_continuous
+from casid.exchange.delays import check_continuous, unused
 from casid.exchange.equations import Equations, equations_of
 from casid.exchange.stepping import steps_of, usual_steps
 from casid.folder import replacing
@@ -241,7 +241,10 @@ def _dae(name: str, system: Equations) -> ca.DaeBuilder:
 
     begin = zip(system.inputs, system.u0.tolist(), strict=True)
     u = ca.vertcat(*(variable(each, "input", start) for each, start in begin))
-    states = [f"state_{each}" if each in taken else each for each in system.states]
+    states: list[str] = []
+    for each in system.states:
+        label = f"state_{each}" if each in taken else each
+        states.append(unused(label, {*taken, *system.states, *states} - {each}))
     begin = zip(states, system.x0.tolist(), strict=True)
     each_x = [variable(label, "local", start) for label, start in begin]
     rates, values = system.function(ca.vertcat(*each_x), u)

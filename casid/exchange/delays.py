@@ -1,5 +1,7 @@
 """Delays of a model turned into states."""
 
+from collections.abc import Collection
+
 import numpy as np
 import scipy
 import scipy.linalg
@@ -43,8 +45,10 @@ def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
         )
     lines = [_delay_line(system, j, pade) for j in range(system.nu)]
     A, B, C, D = (scipy.linalg.block_diag(*blocks) for blocks in zip(*lines, strict=True))
-    named = zip(system.inputs, lines, strict=True)
-    names = [f"{name}_{k + 1}" for name, line in named for k in range(len(line[0]))]
+    names = list(system.states)
+    for name, line in zip(system.inputs, lines, strict=True):
+        for k in range(len(line[0])):
+            names.append(unused(f"{name}_{k + 1}", names))
     n = len(A)
     return StateSpace(
         np.block([[system.A, system.B @ C], [np.zeros((n, system.nx)), A]]),
@@ -54,8 +58,15 @@ def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
         system.dt,
         system.inputs,
         system.outputs,
-        (*system.states, *names),
+        tuple(names),
     )
+
+
+def unused(name: str, taken: Collection[str]) -> str:
+    """The name, or one like it that is not taken."""
+    while name in taken:
+        name += "_"
+    return name
 
 
 def _delay_line(system: StateSpace, j: int, pade: int | None) -> tuple[Array, Array, Array, Array]:

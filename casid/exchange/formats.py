@@ -3,6 +3,7 @@
 import importlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -144,7 +145,7 @@ def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVer
             frame.to_parquet(temporary, engine="pyarrow", index=False)
     else:
         rows = np.column_stack(list(table.values())).tolist()  # floats write themselves exactly
-        lines = [",".join(table), *(",".join(map(repr, row)) for row in rows)]
+        lines = [files.csv_header(table), *(",".join(map(repr, row)) for row in rows)]
         write_text(path, "\n".join(lines) + "\n")
 
 
@@ -187,13 +188,15 @@ def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
 
 
 def pairs_of(response: FrequencyResponse) -> dict[tuple[str, str], tuple[str, ...]]:
-    """Columns of `frequency_table` by (output, input), as `read_frequency_csv` wants them."""
+    """Columns of `frequency_table` by (output, input), as `read_frequency_csv` wants them.
+
+    Where two pairs would share one, as (p, lat_x) and (p_lat, x), names are joined by more bars.
+    """
     kinds = ("dB", "deg", "coherence", "error", "resolution")
-    return {
-        (output, name): tuple(f"{output}_{name}_{kind}" for kind in kinds)
-        for output in response.outputs
-        for name in response.inputs
-    }
+    pairs, bar = list(product(response.outputs, response.inputs)), "_"
+    while len({bar.join(pair) for pair in pairs}) < len(pairs):
+        bar += "_"
+    return {pair: tuple(f"{bar.join(pair)}_{kind}" for kind in kinds) for pair in pairs}
 
 
 def write_frequency(path: str | Path, response: FrequencyResponse) -> None:

@@ -4,6 +4,8 @@ Between samples by the classical Runge-Kutta method, as `casid.shooting.nonlinea
 inputs break at every sample.
 """
 
+from collections.abc import Mapping
+
 import casadi as ca
 import numpy as np
 
@@ -16,12 +18,20 @@ from casid.shooting.stages import stage_inputs
 
 RESTLESS = 4.0  # of inputs on which a unit pulse rides: they break whatever it does
 DIGITS = 14  # of weights that are known
-FINE = 4.0  # steps within a radian of the fastest mode at the reference condition, at least
+FINE = 4.0  # steps within a radian of the fastest mode, at least
 
 
-def usual_steps(model: NonlinearModel, dt: float) -> int:
-    """Runge-Kutta steps a sampling interval that follow the fastest mode well."""
-    fastest = float(np.abs(model.system().poles()).max(initial=0.0))
+def usual_steps(
+    model: NonlinearModel, dt: float, flown: Mapping[str, tuple[float, float]] | None = None
+) -> int:
+    """Runge-Kutta steps a sampling interval that follow the fastest mode well.
+
+    At the reference condition and at the ends of what of states and inputs was flown.
+    """
+    names = (*model.states, *model.inputs)
+    ends = [{n: end} for n, span in (flown or {}).items() if n in names for end in span]
+    systems = [model.system(), *(model.at(end).system() for end in ends)]
+    fastest = max(float(np.abs(each.poles()).max(initial=0.0)) for each in systems)
     return max(1, int(np.ceil(FINE * fastest * dt)))
 
 

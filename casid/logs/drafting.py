@@ -150,6 +150,8 @@ def import_log(
         too little of them; channels that the structure needs and the log lacks; outputs in units
         that are not known.
     """
+    if dt is not None and not 0 < dt < np.inf:
+        raise ValueError(f"dt={dt:g}: expected a sampling interval above 0 s, or none to choose it")
     log = derived(read_log(path))
     folder = Path(folder) if folder is not None else log.path.with_suffix("")
     if (study := folder / "study.toml").exists() and not fresh:
@@ -159,7 +161,7 @@ def import_log(
         )
     inputs, outputs = _channels(log, columns, dict(units or {}), model)
     assumed = check_units(log.path, {**inputs, **outputs})
-    dt = dt or usual_dt(inputs, outputs)
+    dt = usual_dt(inputs, outputs) if dt is None else dt
     assumed += hold_told(inputs, outputs, dt)
     with _naming(log.path):
         records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))

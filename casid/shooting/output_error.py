@@ -30,7 +30,7 @@ from casid.nlp import SolverOptions
 from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.records import Records, check_alive, several, stretches
+from casid.records import Records, check_alive, common_hold, several, stretches
 from casid.shooting import uncertainty
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise
@@ -385,7 +385,7 @@ def _result(
         method="filter error" if evaluator.filtering else "output error",
         notes=replace(
             found.notes(outcome.rounds, programme.J, programme.nuisances, K, Q), integration=steps,
-            covered=evaluator.covered(point),
+            covered=evaluator.covered(point), hold=common_hold(evaluator.layout.records),
         ),
         constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,

@@ -11,6 +11,7 @@ import scipy.linalg
 from casid.arrays import Array
 from casid.estimates import ACTIVE, holding
 from casid.nlp import Solution
+from casid.record import Hold
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
 from casid.shooting.programme import Programme
@@ -55,6 +56,8 @@ class OutputErrorNotes:
     covered : mapping
         Of a nonlinear structure: the span of each variable its tables are over, and of airspeed,
         in the records.
+    hold : {"foh", "zoh"} or None
+        What inputs did between the samples of all records; None where these differ in that.
     record_scores, record_information : (records, nf) and (records, nf, nf) array
         Of every record, all else following the parameters: the slope of its log-likelihood at the
         estimate, which in all is zero, and its information. None of white residuals.
@@ -72,6 +75,7 @@ class OutputErrorNotes:
     process_noise: Array | None = None
     response_weights: tuple[Array, ...] = ()
     covered: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    hold: Hold | None = None
     record_scores: Array = field(default_factory=lambda: np.zeros((0, 0)))
     record_information: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 

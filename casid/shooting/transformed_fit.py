@@ -22,6 +22,7 @@ from casid.model import M
 from casid.nlp import SolverOptions
 from casid.prediction import PredictionPlan, predict
 from casid.record import Record
+from casid.records import common_hold
 from casid.shooting import uncertainty
 from casid.shooting.frequency import (
     SpectralOutcome,
@@ -104,10 +105,11 @@ def _fit(
     ]
     nuisances = len(lines) * (len(model.states) + len(model.outputs))
     notes = found.notes(outcome.rounds, 0, nuisances, None)
+    held = common_hold([each.record for each in lines])
     return Fit(
         model=model, parameters=parameters, cost=programme.likelihood(solution.x), status=status,
         success=success, iterations=outcome.iterations, seconds=time.perf_counter() - begin,
-        method=METHOD, notes=replace(notes, spectra=programme.spectra),
+        method=METHOD, notes=replace(notes, spectra=programme.spectra, hold=held),
         constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=np.diag(R),
         initial_states=np.array([each.x0 for each in begun]),

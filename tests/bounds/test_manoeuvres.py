@@ -170,3 +170,10 @@ def test_a_record_without_one_of_the_outputs_is_predicted_in_the_others():
     assert np.isfinite(found.errors).sum() == found.errors.size - 2
     assert found.simplest == "whole"
     assert np.isfinite(found.excess[0]).all()
+
+
+def test_where_all_failed_on_a_manoeuvre_the_best_is_that_of_the_others():
+    found = comparison([[0.5, 0.6, np.inf], [0.1, 0.2, np.inf]], [9, 7])
+    assert found.best == "b"
+    assert comparison([[np.inf, 0.0, 0.0], [0.5, 0.6, 0.7]], [9, 7]).best == "b"
+    assert comparison([[np.inf] * 3, [np.inf] * 3], [9, 7]).best == "a"

@@ -1,6 +1,7 @@
 """C source and FMUs: compiled, called, and compared with the simulation casid itself uses."""
 
 import ctypes
+import re
 import shutil
 import subprocess
 import zipfile
@@ -220,3 +221,15 @@ def test_an_fmu_of_source_holds_names_and_units(tmp_path):
     assert 'fmiVersion="3.0"' in about
     for text in ('name="lat"', 'name="phi"', "rad/s"):
         assert text in about
+
+
+@pytest.mark.parametrize("states", [("state_p", "p"), ("p", "state_p")])
+def test_variables_of_an_fmu_have_names_of_their_own(tmp_path, states):
+    system = StateSpace(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), None, ("lat", "ped"),
+                        ("p", "r"), states)  # fmt: skip
+    write_fmu(tmp_path / "plant.fmu", system, binary=False)
+    with zipfile.ZipFile(tmp_path / "plant.fmu") as archive:
+        about = archive.read("modelDescription.xml").decode()
+    found = re.findall(r'<Float64[^>]* name="([^"]+)"', about)
+    assert {"p", "r", "state_p", "state_p_"} <= {*found}
+    assert len(found) == len({*found})

@@ -29,3 +29,10 @@ def test_delays_of_a_discrete_model_become_states_exactly(system):
     np.testing.assert_allclose(plain.response(OMEGA), late.response(OMEGA), rtol=1e-12)
     with pytest.raises(ValueError, match="no multiple"):
         without_delay(replace(late, delay=[0.05, 0.0]))
+
+
+def test_states_of_delays_have_names_of_their_own(system):
+    late = replace(system, delay=[0.05, 0.0], states=("lat_1", "b", "lat_1_"))
+    plain = without_delay(late, pade=2)
+    assert len(set(plain.states)) == plain.nx == 5
+    assert plain.states[:3] == late.states

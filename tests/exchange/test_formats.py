@@ -199,3 +199,10 @@ def test_octave_simulates_the_fit_of_the_matlab_file_delays_exactly(fit, octave,
         u=u,
     )
     np.testing.assert_allclose(y, system.simulate(t, u), atol=1e-8 * np.abs(y).max(), rtol=0)
+
+
+def test_pairs_whose_names_join_alike_are_kept_apart(response, tmp_path):
+    alike = replace(response, inputs=("lat_x", "x"), outputs=("p", "p_lat"))
+    write_frequency(tmp_path / "frf.csv", alike)
+    back = read_frequency_csv(tmp_path / "frf.csv", pairs=pairs_of(alike))
+    np.testing.assert_allclose(back.G, alike.G, rtol=1e-12)

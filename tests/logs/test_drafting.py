@@ -267,3 +267,9 @@ def test_a_drafted_study_judges_as_the_records_of_the_log_are_judged(
     inspected = click.testing.CliRunner().invoke(main, ["inspect", str(draft.study)])
     assert ("opposite sign" in inspected.output) == (upside_down is not None)
     assert inspected.exit_code == 0
+
+
+@pytest.mark.parametrize("dt", [0.0, -1.0, float("inf")])
+def test_an_interval_that_is_none_is_refused(drafts, dt):
+    with pytest.raises(ValueError, match="expected a sampling interval above 0 s"):
+        import_log(drafts["flight.ulg"].log.path, "anywhere", dt=dt)
