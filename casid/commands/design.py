@@ -17,7 +17,7 @@ from casid.design.asked import DesignSettings, Limits
 from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design
-from casid.design.prior import check_trim
+from casid.design.prior import check_trim, tells_noise
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit
 from casid.free import free_parameters
@@ -119,7 +119,7 @@ def design(
             check_channels(what.model.inputs, channels, settings.interval)
         if asked["px4"]:
             check_axes(what.model.inputs, asked["px4"])
-        noise = None if isinstance(model, Fit) else _noise(what)
+        noise = None if isinstance(model, Fit) and tells_noise(model) else _noise(what)
         made = design_inputs(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
             feedback=_feedback(what, asked["feedback"]), trim=trim, settings=settings,
@@ -169,11 +169,12 @@ def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, f
 
 
 def _noise(study: Study) -> Mapping[str, float]:
-    """Standard deviations of the outputs, which without a fit the study has to say."""
+    """Standard deviations of the outputs, which the study has to say where no fit does."""
     if study.noise is None:
         raise ValueError(
-            "nothing says how noisy the outputs are: run casid identify, whose residuals say it, "
-            "or give the study the tables [noise], with seed = 0, and [noise.std], with "
+            "nothing says how noisy the outputs are: run casid identify by output error, whose "
+            "residuals say it (a filter's hold no turbulence), or give the study the tables "
+            "[noise], with seed = 0, and [noise.std], with "
             f"{', '.join(f'{name} = ...' for name in study.model.outputs)}"
         )
     return study.noise.std

@@ -104,20 +104,52 @@ def without_effect(free: Free) -> tuple[str, ...]:
     return tuple(name for name, size in zip(free.names, felt, strict=True) if size == 0)
 
 
-def noise_of(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None) -> Array:
-    """R (ny, ny) a sample: what is given, else that of a fit's residuals."""
+def noise_of(
+    model: Model,
+    fit: AnyFit | None,
+    noise: Mapping[str, float] | None,
+    band: tuple[float, float] | None = None,
+) -> Array:
+    """R (ny, ny) a sample: what is given, else that of a fit's residuals.
+
+    Of a fit in the frequency domain it is the largest that their spectrum is in the band.
+    ValueError for a filter error.
+    """
     if noise is None:
         if fit is None or fit.R is None:
             raise ValueError(
                 "nothing says how noisy the outputs are: give noise={output: standard deviation}"
             )
-        return np.diag(np.diag(fit.R))
+        if not tells_noise(fit):
+            raise ValueError(
+                "noise of a fit by filter error is of its predictions a sample ahead, and says "
+                "nothing of what turbulence does to the outputs; design from a fit by output error "
+                "(process_noise=False), whose errors hold that, or give noise={output: standard "
+                "deviation}, turbulence included"
+            )
+        return np.diag(_largest(fit, band))
     check_known("noise names", noise, model.outputs)
     for name in model.outputs:
         if not 0 < noise.get(name, 0.0) < np.inf:
             told = f"has {noise[name]:g}" if name in noise else "has none"
             raise ValueError(f"noise: output {name!r} {told}; give its standard deviation, > 0")
     return np.diag([noise[name] ** 2 for name in model.outputs])
+
+
+def tells_noise(fit: AnyFit) -> bool:
+    """Whether residuals hold all that is not the inputs' doing; a filter's lack turbulence."""
+    return getattr(fit.notes, "K", None) is None
+
+
+def _largest(fit: AnyFit, band: tuple[float, float] | None) -> Array:
+    """Variances (ny,) of residuals, of their spectra the largest in a band."""
+    variance = np.diag(np.asarray(fit.R)).copy()
+    low, high = band or (0.0, np.inf)
+    for each in getattr(fit.notes, "spectra", ()):
+        inside = (each.omega >= low) & (each.omega <= high)
+        power = np.nan_to_num(each.power[inside])
+        variance = np.maximum(variance, power.max(axis=0, initial=0.0))
+    return np.asarray(variance)
 
 
 def colour_of(fit: AnyFit | None, noise: Mapping[str, float] | None) -> float:

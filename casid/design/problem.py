@@ -158,7 +158,7 @@ def problem_of(
             f"{settings.rest + least:.3g} s at least, or sample faster: a design has {FEWEST} "
             f"samples an input at least, here dt = {settings.interval:g} s"
         )
-    heard = noise_of(structure, fit, noise)
+    heard = noise_of(structure, fit, noise, band)
     return Problem(
         frees=(free,), R=heard * colour_of(fit, noise) ** 2, noise=heard,
         known=known_before(free, fit), limits=_arrays(structure, limits), feedback={},

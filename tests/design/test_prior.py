@@ -10,6 +10,7 @@ import scipy.stats
 from casid import DataWarning
 from casid.design.prior import inside, known_before, noise_of, possible
 from casid.free import free_parameters
+from casid.shooting.spectrum import NoiseSpectrum
 from models.short_period import ShortPeriod
 
 FREE = free_parameters(ShortPeriod())
@@ -97,3 +98,19 @@ def test_the_value_furthest_outside_its_bounds_is_named():
         upper[FREE.index[other]] = FREE.guess[other] - 0.1 * scale[other]
         with pytest.raises(ValueError, match=f"^{FREE.names[k]} = .* is outside its bounds"):
             inside(replace(FREE, upper=upper))
+
+
+def test_a_filter_s_innovations_are_no_noise_of_the_outputs():
+    model, n = ShortPeriod(), len(ShortPeriod.outputs)
+    notes = SimpleNamespace(K=np.zeros((2, n)))
+    with pytest.raises(ValueError, match="nothing of what turbulence does to the outputs"):
+        noise_of(model, SimpleNamespace(R=np.eye(n), notes=notes), None)
+
+
+def test_the_noise_of_a_spectrum_is_its_largest_in_the_band():
+    model, n = ShortPeriod(), len(ShortPeriod.outputs)
+    power = np.array([[9.0], [4.0], [2.0], [0.1]]) * np.ones(n)
+    spectrum = NoiseSpectrum(records=("a",), omega=np.array([0.1, 1.0, 4.0, 20.0]), power=power)
+    fit = SimpleNamespace(R=0.5 * np.eye(n), notes=SimpleNamespace(K=None, spectra=(spectrum,)))
+    for band, expected in (((0.5, 10.0), 4.0), ((0.05, 10.0), 9.0), ((10.0, 30.0), 0.5)):
+        np.testing.assert_allclose(noise_of(model, fit, None, band), expected * np.eye(n))
