@@ -44,6 +44,7 @@ COHERENT = 0.6  # least coherence of a measured point, T&R section 7.5
 STARTS = 8  # of further searches
 SCATTER = 0.6  # of their starts, relative to where the structure came nearest before
 FEW = 0.1  # share of pairs and bands far, below which one of these may find another minimum
+LEFT_OUT = 1.1  # ratio of frequencies asked for that are left out and told
 CELLS = 1.5  # spectral lines 2π/T that one independent value of a windowed response takes
 
 
@@ -225,7 +226,7 @@ def distances(
     responses : FrequencyResponse or sequence of them
         Measured; each pair is compared with the first that has it.
     band : (float, float)
-        Frequencies [rad/s]; those of the black box unless given. It is divided into octaves.
+        Frequencies [rad/s] among those of the black box; these unless given. Divided into octaves.
     level : float
         Chance that noise alone makes the structure look insufficient anywhere.
 
@@ -235,8 +236,8 @@ def distances(
         A black box without uncertainty or without a channel of the structure, a band or a level
         that makes no sense. A `DataWarning` tells of a black box that is no measure of a structure.
     """
-    low, high = band = black_box.band if band is None else band
     check_asked(band, level)
+    low, high = band = _known(black_box.band, band)
     if black_box.uncertainty is not None and not black_box.measures:
         warn(
             "distances: this black box is no measure of a structure, its errors do not hold: "
@@ -275,6 +276,24 @@ def distances(
     return Distances(structure=type(free.model).__name__, rows=tuple(rows), level=level)
 
 
+def _known(known: tuple[float, float], asked: tuple[float, float] | None) -> tuple[float, float]:
+    """What is asked for of a band as far as a black box knows it; warns of what is left out."""
+    if asked is None:
+        return known
+    low, high = max(asked[0], known[0]), min(asked[1], known[1])
+    if not low < high:
+        raise ValueError(
+            f"band={asked}: the black box is of {known[0]:.3g} to {known[1]:.3g} rad/s, expected "
+            "frequencies among these"
+        )
+    if max(low / asked[0], asked[1] / high) > LEFT_OUT:
+        warn(
+            f"distances: of {asked[0]:.3g} to {asked[1]:.3g} rad/s the black box knows "
+            f"{low:.3g} to {high:.3g}; beyond them it is no measure, and they are left out"
+        )
+    return low, high
+
+
 def _sentence(rows: Sequence[Distance], named: set[MissingMode]) -> str:
     """The worst band of an output, and after which other inputs it is at fault too."""
     worst, others = rows[0], dict[str, float]()
@@ -286,7 +305,7 @@ def _sentence(rows: Sequence[Distance], named: set[MissingMode]) -> str:
     if worst.missing is None or worst.missing in named:
         return told
     named.add(worst.missing)
-    return f"{told}; the black box has {worst.missing} that it cannot make"
+    return f"{told}; the black box has {worst.missing}, and it none near"
 
 
 def _inside(omega: Array, edges: tuple[float, float]) -> BoolArray:

@@ -155,6 +155,15 @@ def still(records: Sequence[Record], names: Iterable[str]) -> list[str]:
     return [name for name in names if not any(moves(record, name) for record in records)]
 
 
+def check_moved(records: Sequence[Record]) -> None:
+    """ValueError where an input never moves in any of the records."""
+    for name in still(records, records[0].inputs):
+        raise ValueError(
+            f"input {name!r} never moves in any record: nothing tells what it does; leave it out, "
+            "or add a record in which it is moved"
+        )
+
+
 def check_alive(records: Sequence[Record]) -> None:
     """ValueError where an output has no sample, or never moves, in any of the records."""
     for name in still(records, records[0].outputs):

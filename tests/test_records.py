@@ -16,7 +16,14 @@ from casid import (
     pbsid,
     validate,
 )
-from casid.records import same_channels, standard_deviations, steps_told, stretches
+from casid.records import (
+    check_moved,
+    common_hold,
+    same_channels,
+    standard_deviations,
+    steps_told,
+    stretches,
+)
 
 
 def test_records_of_one_campaign_share_their_channels():
@@ -143,3 +150,21 @@ def test_inputs_that_jump_within_a_sample_are_told_and_others_not(seed):
         assert not steps_told(stick(x), ["lat"])
     assert not steps_told(stick(levels, hold="zoh"), ["lat"])
     assert not steps_told(stick(levels), [])
+
+
+def test_an_input_that_never_moves_tells_nothing():
+    t = 0.1 * np.arange(20)
+    still = Record(t, np.column_stack([np.sin(t), 0 * t]), np.cos(t)[:, None], ("a", "b"), ("y",))
+    moved = replace(still, u=still.u[:, ::-1])
+    check_moved([still, moved])
+    with pytest.raises(ValueError, match="input 'b' never moves in any record"):
+        check_moved([still, still])
+    with pytest.raises(ValueError, match="input 'b' never moves"):
+        pbsid(still, order=1)
+
+
+def test_what_inputs_do_between_samples_is_that_of_all_records():
+    t = 0.1 * np.arange(20)
+    one = Record(t, np.sin(t)[:, None], np.cos(t)[:, None], ("a",), ("y",), hold="zoh")
+    assert common_hold([one, one]) == "zoh"
+    assert common_hold([one, replace(one, hold="foh")]) is None

@@ -1,14 +1,14 @@
 """How fast a nonlinear structure is, and how many steps of integration follow it."""
 
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-
-if TYPE_CHECKING:
-    from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.nonlinear.model import NonlinearModel
+from casid.shooting.flow import Flow
+from casid.shooting.intervals import Layout
 
 REACH = 1.0  # of the fastest eigenvalue times a step, at most: then the method follows it
 STABLE = 2.5  # the same, beyond which the method diverges (2.78)
@@ -16,7 +16,24 @@ MOST = 64  # steps a sampling interval
 PLACES, TYPICAL = 200, 0.95  # samples at which modes are looked at; the share that steps follow
 
 
-def first_steps(evaluator: "NonlinearEvaluator", lam: Array) -> int:
+class Flown(Protocol):
+    """As much of an evaluator as tells how fast its structure is."""
+
+    model: NonlinearModel
+    flow: Flow
+    layout: Layout
+
+    def matrices(self, lam: Array) -> Any:  # noqa: ANN401 - of a layer above
+        """Those at the reference condition."""
+
+    def inputs(self, m: Any) -> Array:  # noqa: ANN401
+        """Delayed inputs (N, nu) at the samples."""
+
+    def flown(self, rows: np.ndarray) -> Array:
+        """States (n, nx) at samples, as measured."""
+
+
+def first_steps(evaluator: Flown, lam: Array) -> int:
     """Steps a sampling interval that follow the fastest mode, at the reference and as flown.
 
     ModelError where none do at the reference.
@@ -33,7 +50,7 @@ def first_steps(evaluator: "NonlinearEvaluator", lam: Array) -> int:
     return int(np.clip(np.ceil(fastest / REACH), 1, MOST))
 
 
-def fastest_flown(evaluator: "NonlinearEvaluator", lam: Array) -> tuple[float, str]:
+def fastest_flown(evaluator: Flown, lam: Array) -> tuple[float, str]:
     """The fastest mode's modulus [rad/s] where the records are, and the state it is mostly of.
 
     But for single wild samples; zero and no state where no sample has a value.

@@ -20,7 +20,7 @@ from casid.excitations import excitation_if_any
 from casid.frozen import frozen
 from casid.linear import StateSpace
 from casid.record import Record
-from casid.records import Records
+from casid.records import Records, check_moved
 from casid.subspace import settings as choice
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
@@ -127,6 +127,7 @@ class Pbsid:
     def fit(self, records: Records) -> BlackBox:
         """Black box of one record or several; see `pbsid`."""
         campaign = Campaign.of(records, self.feedthrough)
+        check_moved(campaign.records)
         if self.transform == "none":
             return self._sampled(campaign, *self._sample_settings(campaign))
         free = self.transform is None and self.pole is None

@@ -59,7 +59,7 @@ def test_another_sign_or_unit_is_named_with_its_factor(factor):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.filterwarnings("ignore:the controller feeds")
+@pytest.mark.filterwarnings("ignore:inputs follow")
 @pytest.mark.parametrize("factor", [-1.0, 3.0])
 def test_of_two_records_that_disagree_both_are_named(seed, factor):
     records = flights(seed)[:2]

@@ -60,7 +60,7 @@ def test_gusts_in_one_record_make_none_disagree(A, seed, gust):
 
 @pytest.mark.parametrize(("A", "k"), [(ROLL, 0), (HOVER, 2)])
 @pytest.mark.parametrize(("name", "factor"), [("lat", 100.0), ("lat", -1.0), ("p", -1.0)])
-@pytest.mark.filterwarnings("ignore:the controller feeds")
+@pytest.mark.filterwarnings("ignore:inputs follow")
 def test_another_unit_or_sign_in_one_of_two_records_names_it(A, k, name, factor):
     records = campaign(A, 3)
     records[k] = scaled(records[k], name, factor)
