@@ -31,22 +31,28 @@ def filter_unknowns(
     free: Free, records: list[Record], process_noise: ProcessNoise, R: Array | CovarianceKind
 ) -> GainUnknowns | NoiseUnknowns | None:
     """Unknowns of a filter and where they start; None for output error."""
-    shape = len(free.model.states), len(free.model.outputs)
+    check_gain(free.model, process_noise)
     model = free.model.with_vector(free.full(free.guess))
     if isinstance(process_noise, BlackBox):
         return GainUnknowns(black_box_gain(model, process_noise), free=True)
     if isinstance(process_noise, str):
-        if process_noise != "gain":
-            raise ValueError(f'process_noise={process_noise!r}: expected True, False or "gain"')
         return GainUnknowns(kalman_gain(model, records), free=True)
     if isinstance(process_noise, bool):
         return starting_noises(model, records, R) if process_noise else None
-    gain = np.asarray(process_noise, dtype=float)
+    return GainUnknowns(np.asarray(process_noise, dtype=float), free=False)
+
+
+def check_gain(model: Model, process_noise: ProcessNoise) -> None:
+    """Refuse what is no process noise, or no gain of a model's own."""
+    if isinstance(process_noise, str) and process_noise != "gain":
+        raise ValueError(f'process_noise={process_noise!r}: expected True, False or "gain"')
+    if isinstance(process_noise, bool | str | BlackBox):
+        return
+    gain, shape = np.asarray(process_noise, dtype=float), (len(model.states), len(model.outputs))
     if gain.shape != shape:
         raise ValueError(f"process_noise has shape {gain.shape}, expected K (nx, ny) = {shape}")
     if not np.isfinite(gain).all():
         raise ValueError("process_noise: expected a gain K of finite numbers, without NaN")
-    return GainUnknowns(gain, free=False)
 
 
 def starting_noises(

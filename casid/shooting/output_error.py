@@ -33,7 +33,7 @@ from casid.record import Record
 from casid.records import Records, check_alive, common_hold, several, stretches
 from casid.shooting import uncertainty
 from casid.shooting.frequency import IPOPT
-from casid.shooting.innovation import ProcessNoise
+from casid.shooting.innovation import ProcessNoise, check_gain
 from casid.shooting.knowledge import in_totals, warn_contradicted, with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
@@ -165,6 +165,7 @@ class OutputError:
         """What is free of a model; ValueError, ModelError for settings that do not go with it."""
         free = free_parameters(model, fixed, bounds, self.priors)
         _check_nonlinear(model, self.process_noise, self.steps, self.responses)
+        check_gain(model, self.process_noise)
         checked_covariance(self.R, len(model.outputs))
         if self.domain != "time":
             self._checked_for_lines(model)

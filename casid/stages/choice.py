@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.manoeuvres import StructureComparison, compare_structures
+from casid.bounds.manoeuvres import FEWEST, StructureComparison, compare_structures
 from casid.checks import checked_fields
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit
@@ -183,6 +183,14 @@ def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:
     return {name: found[name] for name in settings.candidates if name in found}
 
 
+def _check(settings: Choosing, task: Task) -> None:  # noqa: ARG001
+    if (count := len(task.roles.get("identification", ()))) < FEWEST:
+        raise ValueError(
+            f"[choice]: each manoeuvre is left out in turn, which takes {FEWEST} records of "
+            f"identification or more, here are {count}; add some, or leave the table out"
+        )
+
+
 def _records(task: Task) -> tuple[tuple[Record, ...], tuple[str, ...]]:
     """Manoeuvres of the identification, and the names of those that are short: of refinement."""
     records = tuple(task.roles["identification"])
@@ -272,6 +280,7 @@ CHOICE = Stage(
     linear=True,
     structured=True,
     optional=True,
+    check=_check,
     show=_show,
 )
 CHOSEN = Stage(

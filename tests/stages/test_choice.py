@@ -146,3 +146,10 @@ def test_a_match_leaves_frequencies_to_which_fewer_manoeuvres_do_not_reach():
 class _Fit:
     def __init__(self, model):
         self.model = model
+
+
+def test_two_manoeuvres_are_refused_before_anything_is_estimated():
+    CHOICE.check(Choosing(), task())
+    few = replace(task(), roles={"identification": RECORDS[:2]})
+    with pytest.raises(ValueError, match="takes 3 records of identification or more, here are 2"):
+        CHOICE.check(Choosing(), few)

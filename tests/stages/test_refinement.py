@@ -128,3 +128,9 @@ def test_the_structure_is_blamed_for_coloured_residuals_where_it_is_not_enough(r
     page = SimpleNamespace(fits={LABEL: fit}, data=(), results=results)
     (section,) = OUTPUT_ERROR.show(replace(fit, parameters=tuple(rows)), page)
     assert any(f"correlated in time: {said}" in each.text for each in section.cautions)
+
+
+def test_a_gain_of_another_shape_is_refused_before_anything_is_estimated():
+    settings = OutputError(process_noise=np.eye(5))
+    with pytest.raises(ValueError, match=r"\[output_error\].*process_noise has shape \(5, 5\)"):
+        OUTPUT_ERROR.check(settings, Task(model=TRUTH))
