@@ -31,6 +31,7 @@ from casid.shooting.starting import (
     neighbouring_programme,
     starting_programme,
 )
+from casid.shooting.stiffness import MOST, REACH, fastest_flown
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
 from casid.subspace.pbsid import BlackBox
 
@@ -40,6 +41,7 @@ GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 SHORTEN = 2.5  # factor between intervals tried one after the other
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 RISES = (10.0, 300.0, 1e4, 3e5)  # process noises to start from, in units of what is noticed
+FINER = 4  # times the steps of the integration, where they were too few
 PATIENCE = 100  # iterations of a solve, where there is another way
 
 
@@ -69,6 +71,21 @@ class Ways:
             if ends[-1].solution.success:
                 return ends[-1]
             LOG.info("output error, intervals of %.3g s: %s", length, ends[-1].solution.status)
+        best = min(ends, key=_merit)
+        return best if self.steps else self._in_shorter_steps(best, near)
+
+    def _in_shorter_steps(self, failed: Outcome, near: AnyFit | None) -> Outcome:
+        """Where output error ends if modes became too fast on the way for the steps of the start.
+
+        These follow the start's modes; where an estimate's are faster the method diverges, and no
+        way leads past that.
+        """
+        ends = [failed]
+        while (steps := _steps_missing(ends[-1])) > 1:
+            LOG.info("output error, %d integration steps a sample", steps)
+            ends.append(replace(self, steps=steps).output_error(near))
+            if ends[-1].solution.success:
+                return ends[-1]
         return min(ends, key=_merit)
 
     def cost_beside(self, near: AnyFit) -> float:
@@ -240,6 +257,17 @@ def choose_interval(free: Free, records: Sequence[Record]) -> float:
     growth = float(free.model.with_vector(free.full(free.guess)).system().poles()[0].real)
     length = LONGEST if growth <= 0 else GROWTH / growth
     return float(np.clip(length, shortest, max(LONGEST, shortest)))
+
+
+def _steps_missing(outcome: Outcome) -> int:
+    """How many steps a sample follow the modes of an end that was none; 1 if there are enough."""
+    evaluator = outcome.programme.evaluator
+    if not isinstance(evaluator, NonlinearEvaluator):
+        return 1
+    lam, now = outcome.programme.unpack(outcome.solution.x).lam, evaluator.substeps
+    rate, _ = fastest_flown(evaluator, lam)
+    needed = rate * float(evaluator.layout.classes.max()) / REACH
+    return min(MOST, max(FINER * now, int(np.ceil(needed)))) if now < min(needed, MOST) else 1
 
 
 def _merit(outcome: Outcome) -> tuple[bool, float]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, Roll, noisy
 
-from casid import SolverOptions, output_error
+from casid import NonlinearModel, Record, Scalar, SolverOptions, output_error, parameter
 from casid.free import free_parameters
 from casid.shooting.ways import GAIN, Ways, choose_interval
 
@@ -86,3 +86,48 @@ def test_the_likelihood_beside_a_fit_of_more_records_is_that_of_its_own():
 def test_the_likelihood_beside_what_is_no_output_error_is_not_known():
     fit = output_error(TRUTH, noisy(seed=3))
     assert ways().cost_beside(replace(fit, R=None)) == np.inf
+
+
+class Thrust(NonlinearModel):
+    """Thrust follows the square of a command by a lag; quadratic drag."""
+
+    states, inputs, outputs = ("T", "V"), ("c",), ("T", "V")
+
+    k: Scalar = parameter(default=6.0, lower=0.0, upper=40.0, unit="m/s^2")
+    d: Scalar = parameter(default=0.03, lower=0.0, upper=1.0, unit="1/m")
+    lag: Scalar = parameter(default=0.1, lower=0.001, upper=1.0, unit="s")
+
+    def derivatives(self, x, u):
+        return [(self.k * u.c**2 - x.T) / self.lag, x.T - self.d * x.V**2]
+
+    def reference(self):
+        return {"T": 2.0, "V": 10.0, "c": 0.5}
+
+
+def thrusted(seed, lag, k=8.0, d=0.02):
+    """Records at 25 Hz, commands held: thrust exact, speed by short steps of Runge-Kutta."""
+    rng = np.random.default_rng(9)
+    c = 0.5 + np.repeat(rng.uniform(-0.2, 0.2, 50), 10)
+    x = np.array([k * c[0] ** 2, 10.0])
+    found, h = [x], 0.04 / 16
+    for value in c[:-1]:
+        level, (T, V) = k * value**2, found[-1]
+        for j in range(16):
+            a, b, e = (level + (T - level) * np.exp(-(j * h + s) / lag) for s in (0.0, h / 2, h))
+            k1 = a - d * V**2
+            k2 = b - d * (V + h / 2 * k1) ** 2
+            k3 = b - d * (V + h / 2 * k2) ** 2
+            V += h / 6 * (k1 + 2 * k2 + 2 * k3 + e - d * (V + h * k3) ** 2)
+        found.append(np.array([level + (T - level) * np.exp(-0.04 / lag), V]))
+    y = np.array(found) + [0.1, 0.05] * np.random.default_rng(seed).standard_normal((500, 2))
+    return Record(0.04 * np.arange(500), c[:, None], y, ("c",), ("T", "V"), "thrust", hold="zoh")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "lag"), [(1, 0.012), (2, 0.012), (4, 0.008)])
+def test_a_lag_far_shorter_than_the_guess_is_found(seed, lag):
+    # One step a sample follows the guess's lag; on the way to the true one it diverges.
+    fit = output_error(Thrust(), thrusted(seed, lag), biases=False)
+    assert abs(fit["lag"].value - lag) < 4 * fit["lag"].std_error
+    assert fit["lag"].std_error < lag / 3
+    assert abs(fit["k"].value - 8.0) < 4 * fit["k"].std_error
