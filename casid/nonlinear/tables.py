@@ -11,6 +11,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ModelError
 
+MOST = 200  # knots: truncated powers lose half the digits there
 Noted: TypeAlias = list[tuple[ca.SX, float, float]]  # a table's argument, its first and last knot
 _NOTED: ContextVar[Noted | None] = ContextVar("noted", default=None)
 
@@ -41,11 +42,16 @@ def spline(x: Any, knots: Sequence[float], values: Sequence[Any]) -> Any:  # noq
     Raises
     ------
     ModelError
-        Knots that do not increase, or not as many values.
+        Knots that do not increase, not as many values, more than 200 knots (which lose digits).
     """
     t = np.asarray(knots, dtype=float)
     if t.ndim != 1 or len(t) < 2 or not (np.diff(t) > 0).all():
         raise ModelError(f"spline: knots {list(knots)}, expected two or more, increasing")
+    if len(t) > MOST:
+        raise ModelError(
+            f"spline: {len(t)} knots, expected {MOST} at most: what is smooth needs fewer, and more "
+            "lose digits"
+        )
     if len(values) != len(t):
         raise ModelError(f"spline: {len(values)} values at {len(t)} knots")
     if (tables := _NOTED.get()) is not None and isinstance(x, ca.SX):

@@ -41,3 +41,15 @@ def test_symbols_give_what_numbers_give_and_two_continuous_derivatives():
 def test_bad_knots_are_told(knots, values):
     with pytest.raises(ModelError, match="spline"):
         spline(0.5, knots, values)
+
+
+def test_a_table_is_as_exact_as_its_knots_are_few():
+    x = np.linspace(0, 10, 200)
+    rng = np.random.default_rng(1)
+    values = rng.standard_normal(200)
+    natural = CubicSpline(x, values, bc_type="natural")
+    at = rng.uniform(0, 10, 50)
+    ours = [spline(float(each), x, values) for each in at]
+    np.testing.assert_allclose(ours, natural(at), atol=1e-5)
+    with pytest.raises(ModelError, match="201 knots, expected 200 at most"):
+        spline(0.5, np.linspace(0, 10, 201), np.zeros(201))
