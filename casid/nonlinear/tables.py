@@ -49,8 +49,8 @@ def spline(x: Any, knots: Sequence[float], values: Sequence[Any]) -> Any:  # noq
         raise ModelError(f"spline: knots {list(knots)}, expected two or more, increasing")
     if len(t) > MOST:
         raise ModelError(
-            f"spline: {len(t)} knots, expected {MOST} at most: what is smooth needs fewer, and more "
-            "lose digits"
+            f"spline: {len(t)} knots, expected {MOST} at most: what is smooth needs fewer, and "
+            "more lose digits"
         )
     if len(values) != len(t):
         raise ModelError(f"spline: {len(values)} values at {len(t)} knots")
