@@ -230,7 +230,7 @@ def _condition(
     nearest = int(np.argmin(np.abs(np.array(speeds) - wanted[0]))) if wanted else 0
     place, flown = places[nearest]
     wished = replace(place, values={**place.values, **asked})
-    trim = balanced(model, wished, held={*SPEEDS, *asked}).trim
+    trim = replace(balanced(model, wished, held={*SPEEDS, *asked}).trim, moves={})
     return trim, [record.total().detrend("first") for record in flown]
 
 

@@ -8,7 +8,7 @@ import scipy
 from casid.arrays import Array
 from casid.checks import check_known
 from casid.errors import ModelError, warn
-from casid.nonlinear.balance import DETERMINED, balance_function, moving
+from casid.nonlinear.balance import DETERMINED, balance_function
 from casid.nonlinear.conditions import BALANCE, Trim
 from casid.nonlinear.model import NonlinearModel
 
@@ -55,7 +55,8 @@ def find_trim(
     Returns
     -------
     Trim
-        A `DataWarning` tells of others nearby.
+        Its values are those of the model's parameters and held, as measured ones are, wherever it
+        is linearised later. A `DataWarning` tells of others nearby.
 
     Raises
     ------
@@ -87,8 +88,7 @@ def find_trim(
             f"trim {name!r} of {type(model).__name__} is not the only one: also "
             f"{' and '.join(others)}; start nearer to the one that is flown"
         )
-    rows, loose = np.ones(len(model.states), dtype=bool), np.zeros((len(unknown), len(unknown)))
-    return Trim(values=values, name=name, moves=moving(model, at, rows, free, loose))
+    return Trim(values=values, name=name)
 
 
 def _solutions(

@@ -7,6 +7,7 @@ from typing import Any
 from casid.checks import check_asked
 from casid.display import listed
 from casid.distances import Distances, distances
+from casid.errors import warn
 from casid.nonlinear.model import NonlinearModel
 from casid.report.content import Caution, Content, Section, section
 from casid.stages.stage import LeftOutError, Stage, Task
@@ -38,6 +39,12 @@ def _run(settings: Sufficiency, task: Task) -> Distances:
     # The unit of all distances are the black box's errors, which one of too low an order lacks, and
     # one that feedback biases.
     if not box.measures or isinstance(fit.model, NonlinearModel):
+        raise LeftOutError
+    if getattr(fit.notes, "K", None) is not None and box.refinement != "prediction":
+        warn(
+            "whether the structure is enough is not asked: turbulence, for which a filter was "
+            "fitted, biases black boxes by more than they state where a controller answers it"
+        )
         raise LeftOutError
     omega = getattr(task.settings.get("match"), "omega", None)
     low, high = box.band if omega is None else (float(min(omega)), float(max(omega)))

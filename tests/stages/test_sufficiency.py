@@ -3,10 +3,11 @@
 import dataclasses
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from truths.roll_study import write_study
 
-from casid import Distance, Distances, read_study, run_study
+from casid import DataWarning, Distance, Distances, read_study, run_study
 from casid.stages.stage import LeftOutError
 from casid.stages.sufficiency import SUFFICIENCY, Sufficiency
 
@@ -49,6 +50,14 @@ def test_a_black_box_without_errors_is_no_measure():
     results = {"pbsid": SimpleNamespace(measures=False), "output_error": None}
     with pytest.raises(LeftOutError):
         SUFFICIENCY.run(Sufficiency(), SimpleNamespace(results=results))
+
+
+def test_in_turbulence_a_black_box_of_transforms_is_no_measure():
+    fit = SimpleNamespace(model=None, notes=SimpleNamespace(K=np.zeros((2, 2))))
+    box = SimpleNamespace(measures=True, refinement="fourier")
+    task = SimpleNamespace(results={"pbsid": box, "output_error": fit})
+    with pytest.warns(DataWarning, match="turbulence"), pytest.raises(LeftOutError):
+        SUFFICIENCY.run(Sufficiency(), task)
 
 
 @pytest.mark.slow
