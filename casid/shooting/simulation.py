@@ -23,6 +23,7 @@ from casid.shooting.stiffness import MOST, TYPICAL
 from casid.threads import one_thread
 
 SAME = 1e-6  # change of an output, over its span, from halving the steps that ends it
+TOLD = 1e-5  # what is left of that where no shorter steps are, and told
 ROUNDING = 1e-12  # of the largest value, a change that counts as none
 ROUNDS = 20  # of Gauss-Newton steps for a state
 STILL = 1e-10  # change of the cost, relative, that ends them
@@ -72,7 +73,7 @@ def simulate(
         y = _finite(model, evaluator.simulate(point).residuals)
         least = ROUNDING / SAME * np.abs(y).max() + 1e-300
         moved = np.abs(y - last).max(axis=0) / np.maximum(np.ptp(y, axis=0), least)
-    if (moved > SAME).any():
+    if (moved > TOLD).any():
         worst = int(np.argmax(moved))
         warn(
             f"simulate: {model.outputs[worst]} over record {record.name!r} moves by "
