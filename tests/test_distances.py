@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import scipy.linalg
 from truths.closed_roll import TRUTH, NoSideslip, campaign, off
 
 from casid import (
@@ -227,3 +228,16 @@ def test_a_black_box_that_is_no_measure_is_told():
     doubted = replace(box(1), biased=True, remarks=("Noise fed back biases it.",))
     with pytest.warns(DataWarning, match="no measure of a structure.*Noise fed back biases it"):
         distances(TRUTH, doubted)
+
+
+def test_a_black_box_of_samples_is_compared_with_measurements_without_its_hold():
+    plant, h = box(1).system, 0.02
+    n, nu = plant.nx, plant.nu
+    block = np.zeros((n + nu, n + nu))
+    block[:n] = np.hstack([plant.A, plant.B])
+    held = scipy.linalg.expm(h * block)  # steps of inputs that are held
+    system = replace(plant, A=held[:n, :n], B=held[:n, n:], dt=h)
+    sampled = replace(box(1), system=system, K=0 * box(1).K, hold="zoh", interval=h)
+    found = distances(TRUTH, sampled, measured(1.0), band=BAND)
+    assert not any(row.doubted for row in found.rows)
+    assert max(row.measured for row in found.rows) < 0.3

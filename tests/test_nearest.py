@@ -69,6 +69,16 @@ def test_what_is_no_fault_is_a_share_of_each_pair_and_of_what_its_output_does_at
         np.testing.assert_allclose(np.abs(found.G[k, i]), row, rtol=1e-9)
 
 
+def test_what_samples_leave_open_is_no_fault(box):
+    slow = replace(box, interval=0.2)
+    plain, found = (
+        BoxResponse.of(each, TRUTH, OMEGA) for each in (replace(slow, interval=None), slow)
+    )
+    left = np.sqrt(found.allowed**2 - plain.allowed**2) / found.scale
+    np.testing.assert_allclose(left, slow.images(OMEGA), rtol=1e-3, atol=1e-5)
+    assert left.max() > 0
+
+
 def test_a_channel_that_the_black_box_lacks_is_named(box):
     half = replace(box, system=replace(box.system, outputs=("ax", "p", "phi")))
     with pytest.raises(ValueError, match="output 'ay' is no output of the black box"):

@@ -167,6 +167,26 @@ def test_moves_with_the_parameters_are_those_of_balancing_anew():
     np.testing.assert_allclose(moved, (np.array(above) - below) / 2e-4, rtol=1e-4)
 
 
+class Curved(NonlinearModel):
+    """One balance in two values that are both named, not quite in it, and bent in one."""
+
+    states, inputs, outputs = ("u",), ("a", "b"), ("u",)
+
+    k: Scalar = parameter(default=1.0, lower=0.0, upper=5.0, unit="-")
+
+    def derivatives(self, x, u):
+        return [self.k * u.a**2 + u.b - 0.02 * x.u]
+
+
+def test_a_bent_balance_moves_as_balancing_anew():
+    trim = Trim(values={"u": 50.0, "a": 0.5, "b": 0.45})  # out of balance by 0.3
+    ends = [balanced(replace(Curved(), k=k), trim).trim.values for k in (0.9999, 1.0001)]
+    moves = balanced(Curved(), trim).trim.moves
+    for name in ("a", "b"):
+        expected = (ends[1][name] - ends[0][name]) / 2e-4
+        assert moves[name]["k"][0] == pytest.approx(expected, rel=1e-4)
+
+
 def test_a_linearisation_moves_with_its_condition():
     model, V = Sinking(), 20.0
     linear = model.at(balanced(model, level(V)).trim)
