@@ -189,7 +189,10 @@ class BlackBox(Shown):
             return G
         half = np.asarray(omega)[:, None, None] * self.system.dt / 2
         lag = np.sinc(half / np.pi)
-        return np.asarray(G / (lag * np.exp(-1j * half) if self.hold == "zoh" else lag**2))
+        if self.hold == "foh":
+            return np.asarray(G / lag**2)
+        direct = self.system.D * np.exp(-2j * half / self.system.dt * self.system.delay)
+        return np.asarray((G - direct) / (lag * np.exp(-1j * half)) + direct)
 
     def images(self, omega: Array) -> Array:
         """How far samples leave the response open, (K, ny, nu), as held inputs have images.
