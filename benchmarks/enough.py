@@ -171,7 +171,7 @@ def main() -> None:
             result = records(name, structures[last], chosen.data)
         done[key] = {"key": key} | result
         with chosen.kept.open("a") as file:
-            file.write(json.dumps(done[key]) + "\n")
+            file.write(json.dumps(done[key], default=float) + "\n")  # NumPy's numbers too
     show(done)
 
 
