@@ -1,5 +1,6 @@
 """What a structure misses, as a process: small where it is true, large enough where it is not."""
 
+import re
 from dataclasses import replace
 from functools import cache, partial
 
@@ -223,3 +224,18 @@ def test_a_reading_far_off_in_a_few_draws_is_no_standard_deviation():
     ]
     spreads = np.array([each.phase_delay_std for each in wide])
     assert np.ptp(spreads) < 0.3 * spreads.mean()
+
+
+def test_readings_that_scatter_are_told():
+    fit, missed, omega = fitted("true"), error("true"), np.geomspace(0.5, 40, 200)
+    calm, wild = (
+        handling_band(fit, ("phi", "lat"), omega, error=replace(missed, std=share * missed.size))
+        for share in (0.01, 0.8)
+    )
+    assert not any("of 100 responses" in said for said in calm.remarks)
+    assert any(re.search(r"of 100 responses .*, \d+ have no", said) for said in wild.remarks)
+
+
+def test_a_band_from_zero_is_refused():
+    with pytest.raises(ValueError, match="expected 0 < lowest < highest"):
+        structure_error(fitted("true"), box(), band=(0.0, 10.0))

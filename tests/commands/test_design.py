@@ -3,15 +3,18 @@
 import hashlib
 import json
 import re
+from dataclasses import replace
 
 import click.testing
 import numpy as np
 import pytest
 from truths.roll_study import Truth, write_study
 
-from casid import Record, output_error
+from casid import NonlinearModel, Record, Scalar, output_error, parameter
 from casid.cli import main
+from casid.commands.design import _condition
 from casid.studies.runner import run_study
+from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 
 
@@ -320,3 +323,42 @@ def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_p
     stale = run(study)
     assert stale.exit_code == 0, stale.output
     assert "is of earlier records, settings or casid; run casid identify" in stale.stderr
+
+
+def test_a_fit_that_does_not_know_the_noise_leaves_it_to_the_study(tmp_path, monkeypatch):
+    study = write_study(tmp_path)
+    flown = read_records(read_study(study))["identification"][0]
+    known = output_error(Truth(), flown.select(Truth.inputs, Truth.outputs))
+    fit = replace(known, notes=replace(known.notes, K=np.zeros((3, 2))))
+    monkeypatch.setattr("casid.commands.design._kept", lambda _: fit)
+    text = study.read_text()
+    study.write_text(text + TABLE)
+    asked = []
+    monkeypatch.setattr("casid.commands.design._noise", asked.append)
+    run(study, "-o", tmp_path / "out")
+    assert len(asked) == 1
+    monkeypatch.setattr("casid.commands.design._kept", lambda _: known)
+    assert run(study, "-o", tmp_path / "out").exit_code == 0
+    assert len(asked) == 1
+
+
+class Level(NonlinearModel):
+    """u' = thr - c u²: thrust and speed balance."""
+
+    states, inputs, outputs = ("u",), ("thr",), ("u",)
+
+    c: Scalar = parameter(default=0.002, lower=0.0, upper=1.0, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [u.thr - self.c * x.u**2]
+
+    def reference(self):
+        return {"u": 30.0, "thr": 1.8}
+
+
+def test_a_condition_to_fly_does_not_move_with_the_parameters():
+    t = 0.1 * np.arange(50)
+    still = Record(t, np.full((50, 1), 1.8), np.full((50, 1), 30.0), ("thr",), ("u",), "level")
+    trim, _ = _condition(Level(), [still], {"u": 32.0})
+    assert trim.values == pytest.approx({"u": 32.0, "thr": 0.002 * 32**2})
+    assert trim.moves == {}

@@ -199,3 +199,12 @@ def test_a_linearisation_moves_with_its_condition():
             np.testing.assert_allclose(kept.A, anew.A, rtol=1e-9)
             ends.append(kept.A)
         assert np.abs(ends[1] - ends[0]).max() > 0
+
+
+def test_a_condition_that_moves_is_another_one():
+    moving = balanced(Sinking(), level(20.0)).trim
+    held = replace(moving, moves={})
+    assert moving != held
+    assert replace(moving, moves=dict(moving.moves)) == moving
+    ahead = [replace(Sinking().at(each), k=0.07).system().A[2, 2] for each in (moving, held)]
+    assert abs(ahead[0] - ahead[1]) > 1e-3

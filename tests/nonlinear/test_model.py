@@ -162,3 +162,4 @@ def test_slopes_that_vanish_at_the_reference_are_no_lack_of_dynamics():
     assert fit.model.thrust == pytest.approx(4.0, abs=4 * fit["thrust"].std_error)
     assert not np.any(Pressure().system().A)
     assert Pressure().at({"u": 2.0}).system().C[1, 0] == 2.0
+    assert not np.any(Pressure().at({"u": 0.0}).system().C[1])

@@ -47,6 +47,11 @@ def test_the_fastest_mode_is_that_of_the_equations_where_it_flew():
     assert first_steps(found, np.array([-10.0])) == 3  # 50 rad/s in 0.05 s
 
 
+def test_a_fast_growth_is_no_lag_to_be_left_out():
+    found = evaluator(Follower(), np.zeros(len(T)))
+    assert first_steps(found, np.array([4e4])) == MOST
+
+
 def test_a_single_wild_sample_does_not_count():
     z = np.zeros(len(T))
     z[100] = 1e3

@@ -116,6 +116,7 @@ def test_a_fit_is_written_and_read(tmp_path):
     again = Fit.load(tmp_path / "fit.json", model=Roll)
     np.testing.assert_array_equal(again.notes.spectra[0].power, fit.notes.spectra[0].power)
     np.testing.assert_array_equal(again.covariance, fit.covariance)
+    assert again.notes.hold == campaign(8)[0].hold
     std = [again[name].std_error for name in again.free_names]
     np.testing.assert_allclose(np.sqrt(np.diag(again.covariance)), std)
 

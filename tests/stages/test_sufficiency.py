@@ -52,12 +52,15 @@ def test_a_black_box_without_errors_is_no_measure():
         SUFFICIENCY.run(Sufficiency(), SimpleNamespace(results=results))
 
 
-def test_in_turbulence_a_black_box_of_transforms_is_no_measure():
+def test_in_turbulence_a_black_box_of_transforms_is_no_measure(monkeypatch):
     fit = SimpleNamespace(model=None, notes=SimpleNamespace(K=np.zeros((2, 2))))
     box = SimpleNamespace(measures=True, refinement="fourier")
     task = SimpleNamespace(results={"pbsid": box, "output_error": fit})
     with pytest.warns(DataWarning, match="turbulence"), pytest.raises(LeftOutError):
         SUFFICIENCY.run(Sufficiency(), task)
+    box.refinement, box.band, task.settings = "prediction", (0.5, 5.0), {}
+    monkeypatch.setattr("casid.stages.sufficiency.distances", lambda *_, **__: "asked")
+    assert SUFFICIENCY.run(Sufficiency(), task) == "asked"
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from casid.subspace.columns import gather
 from casid.subspace.fourier import spectra
 from casid.subspace.pbsid import Pbsid
 from casid.subspace.refinement import refine
+from casid.subspace.refining import refine_projected
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
@@ -294,3 +295,17 @@ def test_refinement_does_not_turn_a_decaying_mode_into_a_growing_one():
     start = StateSpace([[-0.5, 0.0], [0.0, -3.0]], plant.B, plant.C, plant.D)
     refined, _ = refine(start, spectra([record], su, sy, 15.0), su, sy, np.zeros((1, 1), bool))
     assert refined.poles().real.max() <= 2 / record.duration + 1e-9
+
+
+def test_a_black_box_knows_its_sampling_and_whether_feedback_biases_it(monkeypatch):
+    records = campaign(noise=0.01)
+    settings = Pbsid(order=5, past=10, pole=6.0, feedthrough=["z"])
+    plain = settings.fit(records)
+    assert plain.interval == pytest.approx(records[0].dt)
+    assert not plain.biased
+    place = "casid.subspace.pbsid.refine_projected"
+    monkeypatch.setattr(place, lambda *a, **k: replace(refine_projected(*a, **k), remark="Biased."))
+    doubted = settings.fit(records)
+    assert doubted.biased
+    assert doubted.remarks == (*plain.remarks, "Biased.")
+    assert not doubted.measures
