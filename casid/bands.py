@@ -22,7 +22,7 @@ from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.checks import check_level
 from casid.display import Shown, counted
 from casid.eigenmodes import Mode, deviations, may_meet, modes, pole_figures
-from casid.embedding import StructureError, missed_quantile
+from casid.embedding import StructureError, missed_quantile, missed_square
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.model import Model
@@ -253,7 +253,7 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
 def _beside(poles: ComplexArray, error: StructureError) -> Array:
     """How far modes of the black box are from poles (n,), beyond their noise, (4, n).
 
-    In `pole_figures`; zero where none is near.
+    In `pole_figures`; zero where none is near. A square of noise varies by √2 of its mean.
     """
     apart = np.abs(poles[:, None] - error.poles) / np.maximum(np.abs(poles), 1e-300)[:, None]
     mine, its = scipy.optimize.linear_sum_assignment(np.minimum(apart, SAME))
@@ -263,7 +263,8 @@ def _beside(poles: ComplexArray, error: StructureError) -> Array:
     steps = np.array([[1], [1j]]) * error.pole_std[:, its]
     noise = sum((pole_figures(error.poles[its] + step) - own) ** 2 for step in steps)
     off = np.zeros((4, len(poles)))
-    off[:, mine] = np.sqrt(np.maximum((pole_figures(poles[mine]) - own) ** 2 - noise, 0.0))
+    beyond = (pole_figures(poles[mine]) - own) ** 2 - noise
+    off[:, mine] = np.sqrt(missed_square(beyond, np.sqrt(2) * noise, error.sure))
     return off
 
 

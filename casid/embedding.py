@@ -6,7 +6,10 @@ because its size follows the geometric mean m of abs(G)² over neighbouring freq
 
     E|Δ|² = m ⟨(|E|² - E|ε|² - E|η|²)/m⟩,   E the fit's response less the black box's,
 
-ε and η the errors of box and fit by noise, ⟨ ⟩ the same mean. G. C. Goodwin, M. Gevers, B. Ninness,
+ε and η the errors of box and fit by noise, ⟨ ⟩ the same mean. Where noise may hide what is missed,
+this difference is a poor guess, often below zero: as clearly as all pairs together say that the
+structure is not all, taken is what a normal number, the difference give or take its standard
+deviation by ε, is in the mean if not below zero. G. C. Goodwin, M. Gevers, B. Ninness,
 IEEE Transactions on Automatic Control 37(7), 1992 (stochastic embedding), with levels from a black
 box of the same records.
 """
@@ -14,6 +17,7 @@ box of the same records.
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.checks import check_asked
@@ -28,6 +32,7 @@ from casid.threads import one_thread
 from casid.values import seal
 
 POINTS = 48  # frequencies
+EVIDENT = 2.0  # standard deviations of what all pairs together miss, at which one may think either
 WIDE, DRAWS = 10.0, 2000  # realisations that quantiles are taken of: width in `REACH`, how many
 
 
@@ -51,6 +56,8 @@ class StructureError(Shown):
         Parameters and channels.
     size : (K, ny, nu) array
         abs(G) of the fit's response.
+    sure : float
+        Between 0 and 1: how clearly all pairs together say that the structure is not all.
     """
 
     omega: Array
@@ -62,6 +69,7 @@ class StructureError(Shown):
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     size: Array
+    sure: float
 
     def __post_init__(self) -> None:
         seal(self)
@@ -120,6 +128,18 @@ class StructureError(Shown):
         return np.asarray(np.einsum("kl,nlij->nkij", root, z) * self.at(omega, G))
 
 
+def missed_square(difference: Array, deviation: Array, sure: float) -> Array:
+    """E|Δ|² where |Δ|² less noise is found to be a difference, give or take a deviation by noise.
+
+    The difference where there is no reason to think that anything is missed, and where there is,
+    the mean of a normal number that is not below zero.
+    """
+    z = np.clip(difference / np.maximum(deviation, 1e-300), -1e6, 40.0)  # squares overflow beyond
+    rise = np.exp(-0.5 * z**2 - scipy.special.log_ndtr(z)) / np.sqrt(2 * np.pi)
+    plain, likely = np.maximum([difference, difference + deviation * rise], 0.0)
+    return np.asarray((1 - sure) * plain + sure * likely)
+
+
 def missed_quantile(level: float) -> float:
     """What either part of Δ is beyond with chance 1 - ``level``, in units of (E|Δ|²/2)^½.
 
@@ -136,6 +156,29 @@ def _root(omega: Array) -> Array:
     """Square root (n, n) of the correlation of Δ."""
     values, vectors = np.linalg.eigh(nearness(omega))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _alike(F: ComplexArray) -> Array:
+    """Covariance (K, K, ny, nu) of the squares of errors F z over frequency."""
+    return np.asarray(np.abs(np.einsum("kijr,lijr->klij", F, F.conj(), optimize=True)) ** 2)
+
+
+def _smoothed_noise(squares: Array, F: ComplexArray, omega: Array) -> Array:
+    """Mean of squares over neighbouring frequencies, and how far errors F z may move it."""
+    near = kernel(omega)
+    variance = np.einsum("nk,nl,klij->nij", near, near, _alike(F), optimize=True)
+    return np.array([np.tensordot(near, squares, 1), np.sqrt(variance)])
+
+
+def _evidence(left: Array, target: BoxResponse) -> float:
+    """How clearly squares beyond noise say, all pairs together, that anything is missed.
+
+    Noise alone leaves less than nothing in the mean: estimate and black box share it.
+    """
+    beyond = (left - target.allowed**2) / target.variance
+    alike = _alike(target.F) / (target.variance[:, None] * target.variance)
+    z = beyond.sum(axis=0) / np.sqrt(np.maximum(alike.sum(axis=(0, 1)), 1e-300))
+    return float(scipy.special.ndtr(z.sum() / np.sqrt(z.size) - EVIDENT))
 
 
 def _own(fit: AnyFit, free: Free, dG: ComplexArray) -> Array:
@@ -188,8 +231,10 @@ def structure_error(
     left -= np.clip(left, 0.0, _own(fit, free, target.scale * dG))
     size = np.log(np.maximum(np.abs(target.scale * G) ** 2, 1e-300))
     m = np.exp(np.tensordot(kernel(omega), size, 1))
-    square = m * np.tensordot(kernel(omega), left / m, 1)
-    std = np.sqrt(np.maximum(square, 0.0))
+    m /= m.max(axis=0)  # squares of what is no path at all would overflow
+    square, deviation = m * _smoothed_noise(left / m, target.F / np.sqrt(m)[..., None], omega)
+    sure = _evidence(left, target)
+    std = np.sqrt(missed_square(square, deviation, sure))
     W = 1 / np.sqrt(target.variance + target.smoothed(E))
     K = gain(target.scale * dG, W)
     root = (
@@ -209,4 +254,5 @@ def structure_error(
         inputs=free.model.inputs,
         outputs=free.model.outputs,
         size=np.abs(G),
+        sure=sure,
     )

@@ -23,7 +23,7 @@ from casid import (
     response_band,
     structure_error,
 )
-from casid.embedding import missed_quantile
+from casid.embedding import missed_quantile, missed_square
 
 OMEGA = np.geomspace(1.1, 8.0, 24)
 
@@ -78,6 +78,67 @@ def test_what_noise_does_to_the_fit_is_no_error_of_its_structure():
     np.testing.assert_array_equal(structure_error(unknown, box()).std, alone.std)
 
 
+@pytest.mark.parametrize("sure", [0.0, 0.3, 1.0])
+def test_what_noise_may_hide_is_no_less_than_is_likely_where_something_is_missed(sure):
+    difference, deviation = np.array([-30.0, -1.0, 0.0, 0.5, 20.0, 2.0]), np.array([1.0] * 5 + [0])
+    above = difference.copy()
+    for k in range(5):  # the mean of a normal number above zero, by quadrature
+        x = np.linspace(0, 30, 300_001)
+        p = np.exp(-0.5 * (x - difference[k]) ** 2 + 0.5 * min(difference[k], 0) ** 2)
+        above[k] = np.trapezoid(x * p) / np.trapezoid(p)
+    expected = (1 - sure) * np.maximum(difference, 0) + sure * above
+    found = missed_square(difference, deviation, sure)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
+def test_a_structure_is_known_to_miss_something_only_where_it_does():
+    assert error("true").sure < 0.05
+    assert error("wrong").sure > 0.95
+
+
+A, B, LAG = np.array([[-4.0, 0.6], [-0.3, -0.9]]), np.array([[8.0, 1.0], [0.5, 4.0]]), 15.0
+
+
+def lagged(seed):
+    """Four records of roll and yaw behind a lag, in much noise."""
+    whole = np.block([[A, B], [np.zeros((2, 2)), -LAG * np.eye(2)]])
+    sticks, t = np.vstack([np.zeros((2, 2)), LAG * np.eye(2)]), 0.02 * np.arange(1000)
+    rng = np.random.default_rng([seed, 15])
+    sweep = np.sin(np.cumsum(np.geomspace(0.3, 15.0, len(t))) * 0.02)
+    square = np.sign(np.sin(1.7 * t + seed)) + np.sign(np.sin(4.1 * t))
+    for k in range(4):
+        u = 0.02 * np.sin(0.9 * t[:, None] + [0, 1]) * (t[:, None] > 2)
+        u[:, k % 2] = 0.1 * rng.uniform(0.8, 1.2) * (sweep if k < 2 else square)
+        y = scipy.signal.lsim((whole, sticks, np.eye(2, 4), np.zeros((2, 2))), u, t)[1]
+        y += 0.12 * rng.standard_normal(y.shape)
+        yield Record(t=t, u=u, y=y, inputs=("lat", "ped"), outputs=("p", "r"), name=f"{k}")
+
+
+@pytest.mark.slow
+def test_bands_hold_where_much_noise_hides_a_lag_that_is_left_out():
+    held = []
+    for seed in range(12):
+        records = list(lagged(seed))
+        fit, box = output_error(RollYaw(), records), pbsid(records, pole=10.0, past=10, future=10)
+        omega = np.geomspace(max(0.5, box.band[0]), min(12.0, box.band[1]), 24)
+        s = 1j * omega[:, None, None]
+        G = np.linalg.solve(s * np.eye(2) - A, B / (1 + s / LAG))
+        band = response_band(fit, omega, error=structure_error(fit, box))
+        half = np.ptp(band.phase(), axis=0) / 2
+        held.append(np.mean(np.abs(np.angle(G / band.G)) <= half))
+    assert np.mean(held) > 0.9  # .84 where what noise hides counts for nothing
+
+
+def test_what_a_path_that_the_structure_lacks_is_in_truth_counts_whole():
+    records, none = list(lagged(3)), ("Lr", "Np", "Lped", "Nlat")
+    apart = output_error(RollYaw(**dict.fromkeys(none, 0.0)), records, fixed=none)
+    assert not apart.model.system().response(OMEGA)[:, 0, 1].any()
+    box = pbsid(records, pole=10.0, past=10, future=10)
+    missed = structure_error(apart, box)
+    assert np.isfinite(missed.std).all()
+    assert (missed.std[:, 0, 1] > 0).all()
+
+
 @pytest.mark.parametrize("level", [0.68, 0.95, 0.99])
 def test_what_is_missed_is_beyond_its_quantile_as_seldom_as_stated(level):
     # A process on a grid of its own, its level the mean of its square over neighbouring points.
@@ -100,12 +161,13 @@ def test_modes_are_as_uncertain_as_they_are_off_those_of_the_black_box():
     fit = fitted("true")
     plain = mode_bands(fit)
     poles = np.array([band.mode.pole for band in plain])
-    none = replace(error("true"), covariance=np.zeros_like(error("true").covariance))
+    none = replace(error("true"), covariance=np.zeros_like(error("true").covariance), sure=0.0)
 
-    def beside(apart, noise):
+    def beside(apart, noise, sure=0.0):
         """Bands against a black box with modes so far off, so uncertain, and what they gain."""
         std = np.full((2, len(poles)), noise)
-        both = mode_bands(fit, error=replace(none, poles=poles + apart, pole_std=std))
+        other = replace(none, poles=poles + apart, pole_std=std, sure=sure)
+        both = mode_bands(fit, error=other)
         return both, [
             np.sqrt(b.real_std**2 - p.real_std**2) for b, p in zip(both, plain, strict=True)
         ]
@@ -121,6 +183,31 @@ def test_modes_are_as_uncertain_as_they_are_off_those_of_the_black_box():
         assert band.frequency_std == pytest.approx(np.sqrt(alone.frequency_std**2 + beyond))
     np.testing.assert_array_equal(beside(-size, 1.1 * size)[1], 0)  # it may be noise
     np.testing.assert_array_equal(beside(-100 * size, 0.0)[1], 0)  # others
+    # Where something is known to be missed, what may be noise may be off all the same.
+    square, spread = size**2 * (1 - 1.1**2), size**2 * np.sqrt(2) * 1.1**2
+    above = scipy.stats.truncnorm.mean(-square / spread, np.inf, loc=square, scale=spread)
+    np.testing.assert_allclose(beside(-size, 1.1 * size, sure=1.0)[1], np.sqrt(above), rtol=1e-6)
+
+
+class RollYaw(Model):
+    """Roll and yaw rates, and no actuators."""
+
+    states, inputs, outputs = ("p", "r"), ("lat", "ped"), ("p", "r")
+
+    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
+    Lr: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="1/s")
+    Np: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="1/s")
+    Nr: Scalar = parameter(default=-1.0, lower=-10.0, upper=2.0, unit="1/s")
+    Llat: Scalar = parameter(default=5.0, lower=0.0, upper=60.0, unit="rad/s^2")
+    Lped: Scalar = parameter(default=0.0, lower=-20.0, upper=20.0, unit="rad/s^2")
+    Nlat: Scalar = parameter(default=0.0, lower=-20.0, upper=20.0, unit="rad/s^2")
+    Nped: Scalar = parameter(default=3.0, lower=0.0, upper=60.0, unit="rad/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Lp, self.Lr], [self.Np, self.Nr]]
+
+    def B(self) -> Rows:
+        return [[self.Llat, self.Lped], [self.Nlat, self.Nped]]
 
 
 class Bank(Model):
@@ -179,7 +266,7 @@ def test_draws_have_the_size_and_the_memory_that_are_stated():
     made = StructureError(
         omega=omega, std=np.linspace(1, 2, 6)[:, None, None], covariance=np.eye(1),
         poles=np.array([-1.0 + 0j]), pole_std=np.zeros((2, 1)), free_names=("a",),
-        inputs=("u",), outputs=("y",), size=np.full((6, 1, 1), 4.0),
+        inputs=("u",), outputs=("y",), size=np.full((6, 1, 1), 4.0), sure=0.0,
     )  # fmt: skip
     drawn = made.drawn(omega, np.ones((6, 1, 1)), 4000, seed=1)[:, :, 0, 0]
     np.testing.assert_allclose(
