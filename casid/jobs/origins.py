@@ -66,9 +66,11 @@ def own_source(function: Callable[..., Any]) -> bytes:
 
 
 def equations_digest(model: Model) -> str:
-    """Digest of a structure's equations as its code builds them, whatever that reads on the way."""
-    # Numbers from a data file, a time or an environment stand in the expressions.
-    built = [model.matrices().serialize()]
+    """Digest of what a structure's code builds and declares, whatever that reads on the way."""
+    # Numbers from a data file, a time or an environment stand in expressions, bounds and names.
+    built: list[Any] = [model.matrices().serialize(), model.states, model.inputs, model.outputs]
+    built += [[(name, repr(info)) for name, info in model.infos().items()]]
+    built += [[(each.name, each.lower, each.upper) for each in model.constraints()]]
     if isinstance(model, NonlinearModel):
         return digest(built, model.equations().serialize(), model.operating_point())
     return digest(built)

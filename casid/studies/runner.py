@@ -31,6 +31,7 @@ from casid.studies.written import (
     digests,
     keep_written,
     made,
+    origin,
     read_written,
 )
 from casid.tabulation import csv_text
@@ -124,6 +125,7 @@ def run_study(
         return outcome
     started = time.perf_counter()
     watch.begin("records")
+    begun_from = origin(study)  # a file may change while the study runs
     flown, said = _read(study)
     clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
     watch.end(clock[0])
@@ -135,7 +137,7 @@ def run_study(
         own = delete_earlier(study, before)
         written = {key: getattr(outcome, key) for key in ("timings", *TOLD)}
         files = digests(study)
-        keep_written(study, Written(files=files, made=own, warnings=tuple(said), **written))
+        keep_written(study, begun_from, Written(files=files, made=own, warnings=tuple(said), **written))
         return outcome
 
 

@@ -52,14 +52,14 @@ def read_written(study: Study) -> Written | None:
     store = _store(study)
     if not store.path(NAME).exists():
         return None
-    done = store.get(NAME, _key(study))
+    done = store.get(NAME, origin(study))
     found: Written | None = None if done is None else done.result
     return found if found is not None and found.files == digests(study) else None
 
 
-def keep_written(study: Study, written: Written) -> None:
-    """Note what a study wrote."""
-    _store(study).put(NAME, _key(study), Done(result=written))
+def keep_written(study: Study, origin: str, written: Written) -> None:
+    """Note what a study wrote, and the `origin` it had before it read its records."""
+    _store(study).put(NAME, origin, Done(result=written))
 
 
 def made(study: Study) -> dict[str, tuple[int, int]]:
@@ -106,7 +106,7 @@ def _store(study: Study) -> Store:
     return Store(study.output, (Written, Timing, Verdict))
 
 
-def _key(study: Study) -> str:
+def origin(study: Study) -> str:
     """Digest of all that the files of a study are made of: records as their files have them."""
     said = [getattr(study, each.name) for each in fields(study) if each.name not in APART]
     flown = [file for each in study.roles.values() for file in each.files]

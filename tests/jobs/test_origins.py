@@ -121,3 +121,34 @@ def test_a_number_read_from_elsewhere_changes_the_equations_digest(method, tmp_p
         return equations_digest(load_model("roll.py:Roll", tmp_path)())
 
     assert found("1.0") == found("1.0") != found("1.0000001")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'Lp: float = parameter(default=-2.0, lower=-factor(), upper=0.0, unit="1/s")',
+        'def constraints(self): return [Constraint("slow", self.Lp, lower=-factor())]',
+        'outputs = ("p",) if factor() < 4 else ("roll rate",)',
+    ],
+)
+def test_a_bound_or_name_read_from_elsewhere_changes_the_equations_digest(line, tmp_path):
+    lines = [
+        "from pathlib import Path",
+        "from casid import Constraint, Model, parameter",
+        'def factor(): return float(Path(__file__).with_name("k.txt").read_text())',
+        "class Roll(Model):",
+        '    states, inputs, outputs = ("p",), ("lat",), ("p",)',
+        '    Lp: float = parameter(default=-2.0, lower=-9.0, upper=0.0, unit="1/s")',
+        "    def A(self): return [[self.Lp]]",
+        "    def B(self): return [[1.0]]",
+        "    def C(self): return [[1.0]]",
+        f"    {line}",
+    ]
+    (tmp_path / "roll.py").write_text("\n".join(lines), encoding="utf-8")
+
+    def found(text):
+        (tmp_path / "k.txt").write_text(text, encoding="utf-8")
+        model = load_model("roll.py:Roll", tmp_path)
+        return equations_digest(model(Lp=-3.0))
+
+    assert found("3.5") == found("3.5") != found("4.5")

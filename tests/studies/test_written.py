@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from casid import read_study, run_study
+from casid.studies.keeping import Watch
 from casid.values import digest
 
 
@@ -54,6 +55,22 @@ def test_whatever_changes_or_is_lost_is_made_again(copy, request):
     assert not _kept(run_study(read_study(path)))
     assert not _kept(run_study(replace(study, png=True)))
     assert not _kept(run_study(replace(study, png=True), fresh=True))
+
+
+@pytest.mark.slow
+def test_a_record_that_changed_while_the_study_ran_is_read_again(copy, undrawn):
+    study = read_study(copy / "study.toml")
+    record = next(iter(study.roles["validation"].files))
+    text = record.read_text("utf-8")
+
+    class Recorder(Watch):
+        def begin(self, stage):
+            if stage == "report":
+                record.write_text(text + "\n", encoding="utf-8")
+
+    assert not _kept(run_study(replace(study, title="Once more"), watch=Recorder()))
+    assert not _kept(run_study(replace(study, title="Once more")))
+    assert _kept(run_study(replace(study, title="Once more")))
 
 
 @pytest.mark.slow
