@@ -35,8 +35,8 @@ class Record(Shown):
     u : (N, nu) array
         Inputs, finite.
     y : (N, ny) array
-        Outputs; NaN marks a missing sample. Angles that jump by whole turns, as a heading does
-        beyond ±180 degrees, are made continuous, with a `DataWarning`.
+        Outputs; NaN, or an array's mask, marks a missing sample. Angles that jump by whole turns,
+        as a heading does beyond ±180 degrees, are made continuous, with a `DataWarning`.
     inputs, outputs : sequence of str
         Channel names, one a column.
     name : str
@@ -72,7 +72,7 @@ class Record(Shown):
 
     def __post_init__(self) -> None:
         for attribute in ("t", "u", "y"):
-            values = np.array(getattr(self, attribute), dtype=float)
+            values = samples.real(self.name, attribute, getattr(self, attribute))
             values.setflags(write=False)
             object.__setattr__(self, attribute, values)
         object.__setattr__(self, "inputs", tuple(self.inputs))

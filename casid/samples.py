@@ -1,13 +1,14 @@
 """Samples of one record: what they must be, and what they are at other instants."""
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
+from casid.channels import UNITS
 from casid.errors import warn
 
 Between = Literal["zoh", "foh", "smooth"]  # steps, straight lines, a cubic spline
@@ -150,12 +151,22 @@ def unwrapped(x: Array) -> Array | None:
         wrap = steps > WRAP * turn
         if not wrap.any() or wrap.all() or np.ptp(known) > (1 + SMALL) * turn:
             continue
+        if _lost(steps, wrap):
+            continue
         usual, odd = steps[~wrap].mean(), np.median(np.abs(steps[wrap] - turn))
         if usual < SLOW * turn and odd < STEADY * usual + SMALL * turn:
             done = x.copy()
             done[there] = np.unwrap(known, discont=WRAP * turn, period=turn)
             return done
     return None
+
+
+def _lost(steps: Array, wrap: BoolArray) -> bool:
+    """Whether a channel that moves elsewhere stands still between two jumps: it was lost there."""
+    still = steps == 0
+    between = np.split(still, np.flatnonzero(wrap))[1:-1]  # each begins with the jump itself
+    stands = any(len(part) > 2 and part[1:].all() for part in between)
+    return stands and bool(still[~wrap].mean() < 1 / 2)
 
 
 def usual_interval(t: Array) -> float:
@@ -253,6 +264,18 @@ def smoothed(x: Array, ratio: float) -> Array:
     return np.column_stack([np.convolve(column, weights, mode="valid") for column in padded.T])
 
 
+def real(record: str, letter: str, values: Any) -> Array:  # noqa: ANN401 - whatever the user has
+    """A copy as real numbers, what is masked NaN; ValueError for what is none, or more than one."""
+    array = np.ma.asanyarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
+    if array.dtype.kind in "cmM":
+        kind = "complex numbers" if array.dtype.kind == "c" else "dates or times"
+        raise ValueError(
+            f"record {record!r}: {letter} holds {kind}, expected real numbers"
+            + "; of instants take seconds: (t - t[0]) / np.timedelta64(1, 's')" * (letter == "t")
+        )
+    return np.array(np.ma.filled(array.astype(float), np.nan))
+
+
 def check_samples(
     record: str, t: Array, u: Array, y: Array, names: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> None:
@@ -303,7 +326,8 @@ def tidied(
             f"(rows {named}, the first at {t[rows[0]]:.6g} s); look at the clocks of the log"
         )
         t, u, y = merged(t, u, y, close)
-    goes_on = {i: x for i in range(len(outputs)) if (x := unwrapped(y[:, i])) is not None}
+    angles = [i for i, name in enumerate(outputs) if UNITS.get(name, "rad") == "rad"]  # maybe
+    goes_on = {i: x for i in angles if (x := unwrapped(y[:, i])) is not None}
     if goes_on:
         names = ", ".join(outputs[i] for i in goes_on)
         warn(

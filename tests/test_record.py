@@ -391,3 +391,18 @@ def test_a_headline_says_how_long_and_how_often():
     record = Record(0.05 * np.arange(101), np.zeros((101, 1)), y, ("lat",), ("p",), "one")
     said = "'one', 5 s, 101 samples at 20 Hz, inputs lat, outputs p, 5 % of the outputs missing"
     assert record.headline() == said
+
+
+def test_what_is_masked_is_missing_and_no_dates_or_complex_numbers_are_taken():
+    t, x = 0.02 * np.arange(40), np.sin(np.arange(40.0))[:, None]
+    masked = np.ma.masked_array(x, mask=x > 0.9)
+    record = Record(t, x, masked, ("lat",), ("p",), "m")
+    np.testing.assert_array_equal(np.isnan(record.y), x > 0.9)
+    np.testing.assert_array_equal(record.y[x <= 0.9], x[x <= 0.9])
+    with pytest.raises(ValueError, match="input 'lat' is nan at sample"):
+        Record(t, masked, x, ("lat",), ("p",), "m")
+    with pytest.raises(ValueError, match="y holds complex numbers"):
+        Record(t, x, x + 0j, ("lat",), ("p",), "m")
+    for clock in ((1e9 * t).astype("m8[ns]"), (1e9 * t).astype("M8[ns]")):
+        with pytest.raises(ValueError, match=r"t holds dates or times.* take seconds"):
+            Record(clock, x, x, ("lat",), ("p",), "m")

@@ -1,8 +1,11 @@
 """Channels at other instants against the signals they were sampled from."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
+from casid.errors import DataWarning
 from casid.samples import (
     _begun,
     at_instants,
@@ -12,6 +15,7 @@ from casid.samples import (
     resampled,
     resting,
     runs,
+    tidied,
     unwrapped,
     usual_interval,
 )
@@ -127,6 +131,21 @@ def test_noise_outliers_and_steps_are_no_angles():
     steps = np.where(np.sin(T) > 0, 5.5, 0.0) + 0.01 * rng.standard_normal(500)
     for x in (outlier, noise * 6.2 / np.ptp(noise), steps, np.sin(T), np.full(500, np.nan)):
         assert unwrapped(x) is None
+
+
+def test_a_channel_that_drops_out_to_zero_beside_a_turn_is_no_angle():
+    rng = np.random.default_rng(2)
+    speed = 6.05 + 0.08 * rng.standard_normal(500)
+    speed[200:240] = 0.0
+    assert unwrapped(speed) is None
+    heading = np.round(np.linspace(350.0, 370.0, 500) + np.sin(40 * T)) % 360.0  # whole degrees
+    assert np.ptp(unwrapped(heading)) < 30
+    turned = 2.9 + 0.02 * np.arange(500)
+    turned = (turned + np.pi) % (2 * np.pi) - np.pi
+    for name, goes_on in (("course", True), ("w", False)):  # a name may say what it is
+        with nullcontext() if not goes_on else pytest.warns(DataWarning, match="course jumps"):
+            y = tidied("turn", T, T[:, None], turned[:, None], (name,))[2]
+        assert np.array_equal(y[:, 0], turned) is not goes_on
 
 
 def test_a_slower_channel_is_measured_as_often_as_it_was():

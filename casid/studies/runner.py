@@ -137,7 +137,9 @@ def run_study(
         own = delete_earlier(study, before)
         written = {key: getattr(outcome, key) for key in ("timings", *TOLD)}
         files = digests(study)
-        keep_written(study, begun_from, Written(files=files, made=own, warnings=tuple(said), **written))
+        keep_written(
+            study, begun_from, Written(files=files, made=own, warnings=tuple(said), **written)
+        )
         return outcome
 
 

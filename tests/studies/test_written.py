@@ -58,7 +58,8 @@ def test_whatever_changes_or_is_lost_is_made_again(copy, request):
 
 
 @pytest.mark.slow
-def test_a_record_that_changed_while_the_study_ran_is_read_again(copy, undrawn):
+@pytest.mark.usefixtures("undrawn")
+def test_a_record_that_changed_while_the_study_ran_is_read_again(copy):
     study = read_study(copy / "study.toml")
     record = next(iter(study.roles["validation"].files))
     text = record.read_text("utf-8")
