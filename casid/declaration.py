@@ -1,6 +1,7 @@
 """What can be wrong with a model file, told with the name of the culprit."""
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
 from typing import Any
 
 import casadi as ca
@@ -53,6 +54,17 @@ def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[st
         )
     if info.scale is not None and not (np.isfinite(info.scale) and info.scale > 0):
         raise ModelError(f"{where}: scale={info.scale}, expected a positive number")
+
+
+def check_overridden(cls: Any) -> None:  # noqa: ANN401 - a structure's class
+    """Refuse another value for a base's field without a type: Python would keep the old one."""
+    known = {each.name: each for each in fields(cls) if each.name in vars(cls)}  # of its bases
+    for name in known.keys() - cls.__annotations__.keys():
+        what = "parameter(default=..., ...)" if "parameter" in known[name].metadata else "..."
+        raise ModelError(
+            f"{cls.__name__}.{name} has no type and would change nothing: write {name}: Scalar = "
+            f"{what}, or give the value when the model is made, {cls.__name__}({name}=...)"
+        )
 
 
 def check_order(name: str, lower: float, upper: float) -> None:

@@ -169,7 +169,8 @@ class Fit(Shown, Generic[M_co, N_co]):
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all."""
-        write_json(path, {"casid": "fit", "version": 2} | encode(self)["fields"])
+        head = {"casid": "fit", "version": VERSION, "system": encode(_numbers(self.model))}
+        write_json(path, head | encode(self)["fields"])
 
     @classmethod
     @checked
@@ -181,7 +182,8 @@ class Fit(Shown, Generic[M_co, N_co]):
         Raises
         ------
         ValueError, ModelError
-            Not a fit, the fit of another structure, or a stage's file that was changed.
+            Not a fit, the fit of another structure or of one whose equations were others, tables
+            that do not agree with the model, or a stage's file that was changed.
         """
         content = read_json(path)
         if not is_fit(content):
@@ -190,9 +192,17 @@ class Fit(Shown, Generic[M_co, N_co]):
             check_digest(content, path)
         content = content.get("result", {"fields": content})["fields"]
         try:
-            read = _first_version if content.get("version") == 1 else _decoded
-            found = read(content, model, path)
+            version = content.get("version", VERSION)  # a stage's file has none
+            if version not in (1, VERSION):
+                raise ValueError(
+                    f"{path}: a fit of version {version!r}, where 1 and {VERSION} are known; was "
+                    "it saved by a later casid?"
+                )
+            found = (_first_version if version == 1 else _decoded)(content, model, path)
             _check_types(found)
+            _check_agreement(found, path)
+            if "system" in content:
+                _check_numbers(found.model, decode(content["system"]), path)
         except (LookupError, TypeError, AttributeError, OverflowError) as error:
             raise ValueError(
                 f"{path}: not as casid saves a fit ({type(error).__name__}: {error}); was the "
@@ -210,6 +220,8 @@ def is_fit(content: Mapping[str, Any]) -> bool:
     return content.get("casid") == "fit" or (isinstance(kept, dict) and kept.get("value") == "Fit")
 
 
+PARTS = ("A", "B", "C", "D", "delays", "constraints")  # of what a structure makes of parameters
+VERSION = 2  # of the files that `Fit.save` writes
 FLAGS = ("active", "fixed")
 NUMERIC = tuple(each.name for each in fields(ParameterEstimate) if each.type is float)
 
@@ -294,3 +306,39 @@ def _check_types(fit: AnyFit) -> None:
     ):
         if wrong := [each for each in found if not isinstance(each, kind)]:
             raise TypeError(f"{wrong[0]!r} is no {getattr(kind, '__name__', 'number')}")
+
+
+def _check_agreement(fit: AnyFit, place: str | Path) -> None:
+    """Refuse a fit whose tables are not those of its model and of each other."""
+    names, free = fit.model.parameter_names(), fit.free_names
+    wrong = ""
+    if tuple(row.name for row in fit.parameters) != names:
+        wrong = f"the table has {', '.join(row.name for row in fit.parameters)}, not {names}"
+    elif apart := [row.name for row in fit.parameters if getattr(fit.model, row.name) != row.value]:
+        wrong = f"{apart[0]} is {fit[apart[0]].value} in the table and not in the model"
+    elif not set(free) <= set(names):
+        wrong = f"{', '.join(free)} are not all parameters"
+    elif fit.covariance is not None and fit.covariance.shape != (len(free), len(free)):
+        wrong = f"covariance of shape {fit.covariance.shape} for {len(free)} free parameters"
+    elif negative := [row.name for row in fit.parameters if row.std_error < 0]:
+        wrong = f"the standard error of {negative[0]} is {fit[negative[0]].std_error}"
+    elif fit.covariance is not None and (np.diag(fit.covariance) < 0).any():
+        wrong = "the covariance has a negative variance"
+    if wrong:
+        raise ValueError(f"{place}: {wrong}; was the file edited?")
+
+
+def _numbers(model: Model) -> list[Array]:
+    """A, B, C, D, delays and constraints of a model, of a nonlinear one at its reference."""
+    return [matrix.full() for matrix in model.matrices()(model.vector())]
+
+
+def _check_numbers(model: Model, saved: list[Array], place: str | Path) -> None:
+    """Refuse a structure whose equations are not those that were fitted."""
+    for name, now, then in zip(PARTS, _numbers(model), saved, strict=True):
+        same = now.shape == then.shape
+        if not same or not np.allclose(now, then, rtol=1e-6, atol=1e-9, equal_nan=True):
+            raise ModelError(
+                f"{place}: {type(model).__name__} has other {name} than when it was fitted; the "
+                "values belong to the equations of then: load it with that file, or fit again"
+            )

@@ -112,6 +112,7 @@ class Model:
         for name, declared in vars(cls).items():
             if "parameter" in getattr(declared, "metadata", {}):
                 declaration.check_parameter(cls, name, declared, reserved)
+        declaration.check_overridden(cls)
         dataclass(frozen=True, kw_only=True, eq=True)(cls)
 
     def A(self) -> Rows:

@@ -35,6 +35,17 @@ def test_a_faulty_declaration_is_told_with_its_name(parts, message):
 
 
 @pytest.mark.parametrize(
+    ("name", "value"), [("a", -3.0), ("a", property(lambda _: -3.0)), ("U0", 9.0)]
+)
+def test_another_value_of_a_base_without_a_type_is_refused_as_it_would_change_nothing(name, value):
+    base = structure(U0=40.0, __annotations__={"a": float, "U0": float})
+    with pytest.raises(ModelError, match=f"Faster.{name} has no type and would change nothing"):
+        type("Faster", (base,), {name: value})
+    typed = type("Faster", (base,), {"U0": 9.0, "__annotations__": {"U0": float}})
+    assert typed().U0 == 9.0
+
+
+@pytest.mark.parametrize(
     ("parts", "message"),
     [
         ({"A": lambda self: [[self.aa]]}, "Lag.A uses 'aa', .* not declare; did you mean 'a'"),

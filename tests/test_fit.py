@@ -169,6 +169,47 @@ def test_a_fit_of_another_structure_or_no_fit_is_refused(tmp_path):
         Fit.load(file, model=Lag)
 
 
+def row_of(content, k=0):
+    return content["parameters"]["tuple"][k]["fields"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda x: row_of(x).update(value=7.0), "a is 7.0 in the table and not in the model"),
+        (lambda x: x["model"]["fields"].update(a=7.0), "in the table and not in the model"),
+        (lambda x: row_of(x).update(name="q"), "the table has q, b, c"),
+        (lambda x: x["parameters"]["tuple"].pop(), "the table has a, b, not"),
+        (lambda x: row_of(x).update(std_error=-1.0), "standard error of a is -1.0"),
+        (lambda x: x.update(free_names={"tuple": ["a"]}), "shape .* for 1 free parameters"),
+        (lambda x: x.update(free_names={"tuple": ["a", "q"]}), "a, q are not all parameters"),
+        (lambda x: x.update(version=3), "version 3, where 1 and 2 are known"),
+    ],
+)
+def test_a_file_edited_by_hand_is_refused_where_it_contradicts_itself(damage, said, tmp_path):
+    file = tmp_path / "fit.json"
+    whole = fit(free_names=("a", "b"), covariance=np.diag([0.01, 0.04]))
+    whole.save(file)
+    assert Fit.load(file, model=Lag).covariance.shape == (2, 2)
+    content = json.loads(file.read_text(encoding="utf-8"))
+    damage(content)
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ValueError, match=said):
+        Fit.load(file, model=Lag)
+
+
+def test_a_structure_whose_equations_are_others_by_now_is_refused(tmp_path):
+    fit().save(tmp_path / "fit.json")
+
+    class Changed(Lag):
+        def B(self) -> Rows:
+            return [[-entry for entry in row] for row in super().B()]
+
+    Changed.__name__ = "Lag"
+    with pytest.raises(ModelError, match="Lag has other B than when it was fitted"):
+        Fit.load(tmp_path / "fit.json", model=Changed)
+
+
 def test_a_headline_says_how_many_parameters_are_on_their_bounds():
     rows, some = table(), {"model": Lag(), "method": "hand", "cost": 1.25, "free_names": ("a", "b")}
     said = Fit.headline(SimpleNamespace(parameters=rows, success=True, status="", **some))
