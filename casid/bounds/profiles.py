@@ -175,6 +175,9 @@ def _combined(values: Mapping[str, Sequence[float]]) -> tuple[tuple[str, ...], A
     points = np.array(list(product(*values.values())), dtype=float).reshape(-1, len(names))
     if not len(points):
         raise ModelError(f"no values of {' and '.join(names)} given")
+    for name, own in values.items():
+        if twice := [x for x in own if list(own).count(x) > 1]:
+            raise ModelError(f"values of {name} have {twice[0]:g} twice; leave one out")
     return names, points
 
 

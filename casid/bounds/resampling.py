@@ -230,9 +230,12 @@ def bootstrap(
     block : float
         Length of the blocks [s]: longer than the residuals are correlated, at most a third of the
         longest record.
-    estimator, fixed, bounds, execution
-        As in `compare_bounds`; an estimator from records, with the fit's ``state_biases``. Values
-        of its priors are drawn too, about the estimates: they are measurements like others.
+    estimator, execution
+        As in `compare_bounds`; an estimator from records, with the fit's ``biases`` and
+        ``state_biases``. Values of its priors are drawn too, about the estimates: they are
+        measurements like others.
+    fixed, bounds
+        Beside those of the fit: what it held is held, within its bounds unless there are others.
 
     Raises
     ------
@@ -250,6 +253,7 @@ def bootstrap(
         )
     model, nonlinear = fit.model, isinstance(fit.model, NonlinearModel)
     flying, begins = _flying(fit, len(flown), tuple(getattr(estimator, "state_biases", ())))
+    _check_biases(fit, estimator)
     simulated = [
         _simulated(flying, record, *known) for record, known in zip(flown, begins, strict=True)
     ]
@@ -261,7 +265,10 @@ def bootstrap(
     _check_residuals(fit, residuals, known=known)
     draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
     again = [_redrawn(estimator, model, (seed, run)) for run in range(runs)]
-    return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit, again)
+    held = (*fixed, *(row.name for row in fit.parameters if row.fixed and row.name not in fixed))
+    own = {row.name: (row.lower, row.upper) for row in fit.parameters if row.name not in held}
+    many = Fits(model, simulated, estimator, held, own | dict(bounds or {}), execution)
+    return _ensemble(many, draws, fit, again)
 
 
 def _flying(
@@ -289,6 +296,17 @@ def _flying(
     order = [names.index(state) for state in flying.states]
     x0 = np.hstack([fit.initial_states, constants])[:, order]
     return flying, zip(x0, fit.biases, strict=True)
+
+
+def _check_biases(fit: AnyFit, estimator: Estimator) -> None:
+    """ValueError unless the estimator has biases where the fit has, which are zero without."""
+    has, wanted = bool(np.any(fit.biases)), bool(getattr(estimator, "biases", True))
+    if fit.method != METHOD and has != wanted:  # of transforms, whose mean is left out, all
+        raise ValueError(
+            f"the fit has {'' if has else 'no '}biases of outputs, the estimator "
+            f"{'has' if wanted else 'none'}: give that of the fit, "
+            f"estimator=OutputError(biases={has})"
+        )
 
 
 def _redrawn(estimator: Estimator, model: Model, seed: tuple[int, ...]) -> Estimator | None:

@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.channels import MEASURES
 from casid.logs.topics import Bounded, Topic, make_topic, printable
 
 MAGIC = b"TDSm"
 TIMES = {"t", "time", "time [s]", "time_s", "timestamp", "timestamps", "seconds"}  # of columns
 STEP, START, BEGUN = "wf_increment", "wf_start_offset", "wf_start_time"  # of a waveform
+UNSET = np.datetime64("1904-01-02")  # LabVIEW's zero, as of clocks that nobody has set
+SECOND = np.timedelta64(1, "s")
 UNIT = ("unit_string", "NI_UnitDescription")
 
 
@@ -28,12 +31,22 @@ def read_tdms(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[
     with library.TdmsFile.open(Bounded(data)) as file:
         if file.file_status.incomplete_final_segment:
             notes.append("the file ends before its last segment does; what could be read is here")
-        for group in file.groups():
-            channels = [each for each in group.channels() if _numeric(each, len(data))]
-            found, without = _group(group.name, channels)
+        groups = {
+            group.name: [each for each in group.channels() if _numeric(each, len(data))]
+            for group in file.groups()
+        }
+        starts = {name: _starts(channels) for name, channels in groups.items() if channels}
+        epoch = min((start for own in starts.values() for start in own), default=None)
+        if epoch is not None and (open_ := [name for name, own in starts.items() if not own]):
+            notes.append(
+                f"{', '.join(map(repr, open_))} count from an instant that is not told, the other "
+                "groups from a date: taken as begun together, look at the delays"
+            )
+        for name, channels in groups.items():
+            found, without = _group(name, channels, epoch)
             topics += found
             if without:
-                notes.append(f"group {group.name!r}: no time is known of {', '.join(without)}")
+                notes.append(f"group {name!r}: no time is known of {', '.join(without)}")
     return iter(topics), tuple(notes)
 
 
@@ -42,24 +55,43 @@ def _numeric(channel: Any, size: int) -> bool:  # noqa: ANN401 - npTDMS has no t
     return kind.kind in "fiubM" and 0 < len(channel) * max(kind.itemsize, 1) <= 2 * size
 
 
-def _group(name: str, channels: Sequence[Any]) -> tuple[list[Topic], list[str]]:
-    """Topics of a group's channels, which may be sampled at several rates; those without time."""
+def _start(channel: Any) -> np.datetime64 | None:  # noqa: ANN401
+    """The date from which a waveform counts, if it has one."""
+    told = channel.properties.get(BEGUN)
+    known = isinstance(told, np.datetime64) and not np.isnat(told) and told > UNSET
+    return told if known else None
+
+
+def _starts(channels: Sequence[Any]) -> list[np.datetime64]:
+    """Dates from which a group's waveforms and columns of dates count."""
+    dates = [each[:] for each in channels if np.dtype(each.dtype).kind == "M"]
+    told = [_start(each) for each in channels]
+    told += [each[~np.isnat(each)].min() for each in dates if not np.isnat(each).all()]
+    return [each for each in told if each is not None]
+
+
+def _group(
+    name: str, channels: Sequence[Any], epoch: np.datetime64 | None
+) -> tuple[list[Topic], list[str]]:
+    """Topics of a group's channels, which may be sampled at several rates; those without time.
+
+    What has a date counts from the epoch, the first of the whole file.
+    """
     clocks: dict[tuple[Any, ...], tuple[Array, list[Any]]] = {}
     stamped = {len(each): each for each in channels if each.name.strip().lower() in TIMES}
-    begun = [each.properties[BEGUN] for each in channels if BEGUN in each.properties]
     without = []
     for each in channels:
         step = each.properties.get(STEP)
         if isinstance(step, float) and 0 < step < np.inf:
             late = float(each.properties.get(START) or 0.0)
-            if BEGUN in each.properties:
-                late += float((each.properties[BEGUN] - min(begun)) / np.timedelta64(1, "s"))
+            if (start := _start(each)) is not None:
+                late += float((start - epoch) / SECOND)
             key: tuple[Any, ...] = (len(each), step, late)
             clocks.setdefault(key, (late + step * np.arange(len(each)), []))[1].append(each)
         elif len(each) in stamped:
             if each is not stamped[len(each)]:
                 key = (len(each),)
-                clocks.setdefault(key, (_seconds(stamped[len(each)]), []))[1].append(each)
+                clocks.setdefault(key, (_seconds(stamped[len(each)], epoch), []))[1].append(each)
         else:
             without.append(each.name)
     topics = []
@@ -71,11 +103,12 @@ def _group(name: str, channels: Sequence[Any]) -> tuple[list[Topic], list[str]]:
     return topics, without
 
 
-def _seconds(channel: Any) -> Array:  # noqa: ANN401
+def _seconds(channel: Any, epoch: np.datetime64 | None) -> Array:  # noqa: ANN401
+    """A column of instants [s], of numbers in the unit that it names."""
     values = channel[:]
     if values.dtype.kind == "M":
-        return np.asarray((values - values.min()) / np.timedelta64(1, "s"), dtype=float)
-    return np.asarray(values, dtype=float)
+        return np.asarray((values - epoch) / SECOND, dtype=float)
+    return np.asarray(values, dtype=float) * MEASURES["s"].get(_unit(channel).lower(), 1.0)
 
 
 def _unit(channel: Any) -> str:  # noqa: ANN401

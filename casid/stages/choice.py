@@ -38,6 +38,11 @@ WORDS: Mapping[StepName, str] = {
     "quadratic": "quadratic match",
 }
 
+NEEDS: Mapping[StepName, str] = {
+    "joint": "records of frequency that are of identification and not of refinement",
+    "short": "records of refinement that are some of those of identification",
+}
+
 
 @checked_fields
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,7 +99,7 @@ class Choosing:
     Parameters
     ----------
     candidates : tuple of str
-        What is tried.
+        What is tried; of all of them, what the records allow.
     """
 
     candidates: tuple[StepName, ...] = tuple(WORDS)
@@ -183,12 +188,20 @@ def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:
     return {name: found[name] for name in settings.candidates if name in found}
 
 
-def _check(settings: Choosing, task: Task) -> None:  # noqa: ARG001
+def _check(settings: Choosing, task: Task) -> None:
     if (count := len(task.roles.get("identification", ()))) < FEWEST:
         raise ValueError(
             f"[choice]: each manoeuvre is left out in turn, which takes {FEWEST} records of "
             f"identification or more, here are {count}; add some, or leave the table out"
         )
+    possible = last_steps(Choosing(), task)
+    if settings.candidates != Choosing().candidates:  # which are all that there may be
+        for name in settings.candidates:
+            if name not in possible:
+                raise ValueError(
+                    f"[choice] candidates: {name!r} takes {NEEDS[name]}, which these roles do not "
+                    f"have; there are {', '.join(possible)}"
+                )
 
 
 def _records(task: Task) -> tuple[tuple[Record, ...], tuple[str, ...]]:

@@ -121,6 +121,8 @@ def test_an_interval_ends_on_a_bound_that_comes_first():
 def test_a_profile_of_nothing_or_of_strangers_is_refused():
     with pytest.raises(ModelError, match="no values of a"):
         profile_parameters(Mixture(), [record()], values={"a": []})
+    with pytest.raises(ModelError, match="values of a have 1 twice"):
+        profile_parameters(Mixture(), [record()], values={"a": [1.0, 0.5, 1.0]})
     with pytest.raises(ModelError, match="name 3 parameters, expected one or two"):
         profile_parameters(Mixture(), [record()], values={name: [1.0] for name in "abd"})
     with pytest.raises(ValueError, match=r"level=95: expected"):

@@ -40,6 +40,22 @@ def test_a_bootstrap_of_white_residuals_scatters_as_the_standard_errors():
     np.testing.assert_array_equal(found.reference, fit.model.vector())
 
 
+def test_what_the_fit_held_is_held_in_every_draw_and_biases_are_those_of_the_fit():
+    held = output_error(Mixture(a=1.0), [record()], fixed=["a"], bounds={"b": (0.3, 0.58)})
+    assert held["b"].active
+    found = bootstrap(held, [record()], runs=4, block=0.2, execution=HERE)
+    assert found.names == ("b", "d")
+    assert (found.values[:, 0] <= 0.58).all()
+    wider = bootstrap(held, [record()], runs=4, bounds={"b": (0.3, 0.9)}, execution=HERE)
+    assert (wider.values[:, 0] > 0.58).any()
+    assert bootstrap(held, [record()], runs=2, fixed=["d"], execution=HERE).names == ("b",)
+    none = output_error(Mixture(), [record()], biases=False)
+    with pytest.raises(ValueError, match=r"no biases .*estimator=OutputError\(biases=False\)"):
+        bootstrap(none, [record()], runs=2)
+    bare = OutputError(biases=False)
+    assert len(bootstrap(none, [record()], runs=2, estimator=bare, execution=HERE).values) == 2
+
+
 def test_draws_depend_on_seed_and_run_alone_and_keep_gaps():
     r = record()
     y = r.y.copy()

@@ -50,3 +50,38 @@ def test_time_stamps_of_labview_are_seconds_from_the_first():
     stamps = np.datetime64("2026-01-01", "us") + np.arange(4) * np.timedelta64(20_000, "us")
     found = topics(written(("G", "Timestamp", stamps), ("G", "p", np.arange(4.0))))
     np.testing.assert_allclose(found["G"].t, 0.02 * np.arange(4), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["waveform", "stamps", "mixed"])
+def test_groups_that_count_from_dates_have_one_clock(kind):
+    begun, late = np.datetime64("2026-05-05T12:00:00", "us"), np.timedelta64(300_000, "us")
+
+    def group(name, start, *, wave):
+        if wave:
+            told = {"wf_increment": 0.02, "wf_start_time": start}
+            return ((name, "x", np.arange(5.0), told),)
+        stamps = start + np.arange(5) * np.timedelta64(20_000, "us")
+        return (name, "Time", stamps), (name, "x", np.arange(5.0))
+
+    data = written(
+        *group("sticks", begun, wave=kind == "waveform"),
+        *group("gyros", begun + late, wave=kind != "stamps"),
+    )
+    found = topics(data)
+    np.testing.assert_allclose(found["sticks"].t, 0.02 * np.arange(5), atol=1e-9)
+    np.testing.assert_allclose(found["gyros"].t, 0.3 + 0.02 * np.arange(5), atol=1e-9)
+
+
+def test_clocks_that_nobody_can_compare_are_told():
+    begun = np.datetime64("2026-05-05T12:00:00", "us")
+    unset = np.datetime64("1904-01-01T00:00:00", "us")
+    data = written(
+        ("G", "a", np.arange(5.0), {"wf_increment": 0.1, "wf_start_time": begun}),
+        ("H", "Time", np.arange(0.0, 500.0, 100.0), {"unit_string": "ms"}),
+        ("H", "b", np.arange(5.0)),
+        ("I", "c", np.arange(5.0), {"wf_increment": 0.1, "wf_start_time": unset}),
+    )
+    found, (note,) = read_tdms(data, nptdms)
+    assert note.startswith("'H', 'I' count from an instant that is not told")
+    for topic in found:
+        np.testing.assert_allclose(topic.t, 0.1 * np.arange(5), rtol=1e-12)

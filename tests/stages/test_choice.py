@@ -153,3 +153,14 @@ def test_two_manoeuvres_are_refused_before_anything_is_estimated():
     few = replace(task(), roles={"identification": RECORDS[:2]})
     with pytest.raises(ValueError, match="takes 3 records of identification or more, here are 2"):
         CHOICE.check(Choosing(), few)
+
+
+def test_a_candidate_by_name_that_the_records_do_not_allow_is_refused():
+    whole = task(refinement=SHORT, frequency=RECORDS[3:])
+    for asked, without, needs in (
+        (("short", "quadratic"), task(), "'short' takes records of refinement that are some"),
+        (("joint", "time"), task(refinement=SHORT), "'joint' takes records of frequency"),
+    ):
+        CHOICE.check(Choosing(candidates=asked), whole)
+        with pytest.raises(ValueError, match=needs):
+            CHOICE.check(Choosing(candidates=asked), without)
