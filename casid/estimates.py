@@ -1,5 +1,6 @@
 """Tables of a fit: a row for every parameter and constraint, and what holds them."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,21 +13,42 @@ from casid.model import Model
 
 ACTIVE = 1e-6  # distance to a bound, relative to the parameter's scale, that counts as on it
 NEAR = 1e-4  # the same, if the bound has a price
+FELT = 0.01  # of what a parameter may move with the others known: nobody could tell
 ROUNDING = 1e-9  # of the length of a direction that is free
 
 
-def on_bounds(free: Free, values: Array, multipliers: Array) -> Array:
+def on_bounds(
+    free: Free, values: Array, multipliers: Array, felt: Callable[[], Array] | None = None
+) -> Array:
     """Free values (nf,) as an interior-point solver meant them: within bounds, on those that hold.
 
     It stops short of a bound, the nearer the larger the bound's multiplier: a parameter nearer than
-    that in its own scale is on it. ``multipliers`` (nf,) are prices as in the parameter table.
+    that in its own scale is on it, unless the data feel the rest. ``multipliers`` (nf,) are prices
+    as in the parameter table; ``felt`` returns what a parameter may move with the others known, and
+    is asked only where one may be on its bound.
     """
     lower, upper, scale = (each[free.index] for each in (free.lower, free.upper, free.scale))
-    values = np.clip(values, lower, upper)
+    values, moved = np.clip(values, lower, upper), np.clip(values, lower, upper)
     for bound, price in ((lower, multipliers * scale), (upper, -multipliers * scale)):
         gap = np.abs(values - bound) / scale
-        values = np.where((gap <= NEAR) & (gap < price), bound, values)
-    return np.asarray(values)
+        moved = np.where((gap <= NEAR) & (gap < price), bound, moved)
+    if felt is not None and (moved != values).any():
+        moved = np.where(np.abs(moved - values) <= FELT * felt(), moved, values)
+    return np.asarray(moved)
+
+
+def at_bounds(free: Free, values: Array, felt: Array | None = None) -> BoolArray:
+    """Which free values (nf,) are on a bound, as far as rounding and the data tell.
+
+    Bounds may be so wide that hardly anything is far in the scale that they give: what the data
+    feel of the way, with ``felt`` (nf,) what a parameter may move, is none.
+    """
+    lower, upper, scale = (each[free.index] for each in (free.lower, free.upper, free.scale))
+    gap = np.minimum(values - lower, upper - values)
+    near = gap <= ACTIVE * scale
+    if felt is not None:
+        near &= (gap <= 0) | ~(gap > FELT * felt)
+    return np.asarray(near)
 
 
 def parameter_table(
@@ -45,8 +67,8 @@ def parameter_table(
     """
     model, full = free.model, free.full(np.asarray(values, dtype=float))
     moving = np.isin(np.arange(len(full)), free.index)
-    gap = np.minimum(full - free.lower, free.upper - full)
-    active = moving & (gap <= ACTIVE * free.scale)
+    active = np.zeros(len(full), dtype=bool)
+    active[free.index] = at_bounds(free, full[free.index], insensitivity)
     held = active.copy()
     held[free.index] |= _without_room(free, full[free.index], active[free.index])
 
@@ -76,12 +98,15 @@ def parameter_table(
     return tuple(rows)
 
 
-def constraint_table(model: Model, prices: Array) -> tuple[ConstraintEstimate, ...]:
-    """Rows of the constraints at the estimates; prices (m,): slopes of the cost by their values."""
+def constraint_table(model: Model, prices: Array, sizes: Array) -> tuple[ConstraintEstimate, ...]:
+    """Rows of the constraints at the estimates; prices (m,): slopes of the cost by their values.
+
+    ``sizes`` (m,) are what counts as one of each, `Free.constraint_sizes`.
+    """
     rows = []
-    for item, price in zip(model.constraints(), prices, strict=True):
+    for item, price, size in zip(model.constraints(), prices, sizes.tolist(), strict=True):
         value, lower, upper = (float(each) for each in (item.value, item.lower, item.upper))
-        active = lower == upper or min(value - lower, upper - value) <= ACTIVE
+        active = lower == upper or min(value - lower, upper - value) <= ACTIVE * size
         told: Any = {"name": item.name, "value": value, "lower": lower, "upper": upper}
         slope = float(price) if active else 0.0
         rows.append(ConstraintEstimate(**told, active=active, multiplier=slope))
@@ -97,7 +122,7 @@ def holding(free: Free, values: Array, active: BoolArray) -> Array:
     if not free.model.constraints():
         return bounds
     model = free.model.with_vector(free.full(values))
-    rows = constraint_table(model, np.zeros(len(model.constraints())))
+    rows = constraint_table(model, np.zeros(len(model.constraints())), free.constraint_sizes)
     held = np.array([row.active for row in rows])
     return np.vstack([bounds, free.constraint_slopes(values)[held]])
 

@@ -84,6 +84,22 @@ class Free:
         slopes = ca.Function("slopes", [lam], [ca.jacobian(c, lam)])
         return np.asarray(slopes(values).full())
 
+    @property
+    def constraint_sizes(self) -> Array:
+        """What typical moves of the parameters change of the model's constraints, (m,).
+
+        Their units: a constraint says the same in whatever multiple its file has it.
+        """
+        slopes = self.constraint_slopes(self.guess) * self.scale[self.index]
+        size = np.abs(slopes).sum(axis=1)
+        return np.where((size > 0) & np.isfinite(size), size, 1.0)
+
+    @property
+    def constraint_limits(self) -> Array:
+        """Lower and upper limits of the model's constraints in those units, (2, m)."""
+        sides = [(float(each.lower), float(each.upper)) for each in self.model.constraints()]
+        return np.asarray(np.array(sides).reshape(-1, 2).T / self.constraint_sizes)
+
     def full(self, free: Any) -> Any:  # noqa: ANN401 - MX, SX or array in, the same out
         """λ (n_λ,) from the free values (nf,), numbers or symbols."""
         fixed = self.model.vector()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from casid import Constraint, Model, Rows, Scalar, parameter
-from casid.estimates import constraint_table, on_bounds, parameter_table
+from casid.estimates import at_bounds, constraint_table, on_bounds, parameter_table
 from casid.free import free_parameters
 
 
@@ -33,6 +33,25 @@ def test_a_parameter_that_a_solver_stops_short_of_its_bound_is_on_it():
         np.testing.assert_array_equal(on_bounds(free, short, price), short)
     far = np.array([0.25, -3.0]) + np.array([-1e-3, 1e-3]) * unit
     np.testing.assert_array_equal(on_bounds(free, far, held), far)
+
+
+def test_a_parameter_whose_way_to_the_bound_the_data_feel_is_not_on_it():
+    free = free_parameters(Lag(b=10.0), bounds={"b": (0.0, 1e6)}, fixed=("c",))
+    values, prices, asked = np.array([-5.0, 8.0]), np.array([0.7, 1e-3]), []
+
+    def felt():
+        asked.append(1)
+        return np.array([0.1, 0.02])
+
+    np.testing.assert_array_equal(on_bounds(free, values, prices, felt), values)
+    assert asked  # b is nearer to zero, in the scale of such bounds, than a solver stops
+    np.testing.assert_array_equal(on_bounds(free, values, prices), [-5, 0])
+    unfelt = on_bounds(free, values, prices, lambda: np.array([0.1, np.inf]))
+    np.testing.assert_array_equal(unfelt, [-5, 0])
+    a, b, _ = parameter_table(free, np.array([-5.0, 0.05]), prices, insensitivity=felt())
+    assert (a.active, b.active, b.multiplier) == (True, False, 0.0)
+    held = at_bounds(free, np.array([-5.0, 1e-4]), felt())
+    np.testing.assert_array_equal(held, [True, True])
 
 
 def test_the_table_tells_bounds_fixed_parameters_and_the_guess():
@@ -65,11 +84,13 @@ class Ruled(Lag):
 
 
 def test_constraints_are_active_on_either_bound_and_carry_their_price_then():
-    upper, free, tie = constraint_table(Ruled(), np.array([-0.3, 0.2, 0.1]))
+    upper, free, tie = constraint_table(Ruled(), np.array([-0.3, 0.2, 0.1]), np.ones(3))
     assert (upper.value, upper.active, upper.multiplier) == (2.5, True, -0.3)
     assert (free.value, free.active, free.multiplier) == (1.5, False, 0.0)
     assert (tie.value, tie.active, tie.multiplier) == (1.0, True, 0.1)
-    (lower,) = (row for row in constraint_table(Ruled(b=0.5), np.ones(3)) if row.name == "free")
+    (lower,) = (
+        row for row in constraint_table(Ruled(b=0.5), np.ones(3), np.ones(3)) if row.name == "free"
+    )
     assert (lower.value, lower.active, lower.multiplier) == (0.0, True, 1.0)
 
 

@@ -17,7 +17,14 @@ from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError, warn
-from casid.estimates import constraint_table, held_directions, holding, on_bounds, parameter_table
+from casid.estimates import (
+    at_bounds,
+    constraint_table,
+    held_directions,
+    holding,
+    on_bounds,
+    parameter_table,
+)
 from casid.fit import AnyFit, Fit
 from casid.free import free_parameters
 from casid.frequency.covariance import whitener
@@ -186,11 +193,15 @@ def _result(
     problem: Condensed, model: M, frf: FrequencyResponse, found: Minima, best: Optimum, took: float
 ) -> Fit[M, DerividNotes]:
     free = problem.free
-    values = on_bounds(free, best.values, best.multipliers)
+
+    def felt() -> Array:
+        nothing = np.zeros(len(free.index), dtype=bool)
+        return accuracy(_residual_slopes(problem, best.values), nothing)[1]
+
+    values = on_bounds(free, best.values, best.multipliers, felt)
     solved = model.with_vector(free.full(values))
-    table = parameter_table(free, values, best.multipliers, guess=model)
-    active = np.array([table[i].active for i in free.index])
     jacobian = _residual_slopes(problem, values)
+    active = at_bounds(free, values, accuracy(jacobian, np.zeros(len(values), dtype=bool))[1])
     held = holding(free, values, np.zeros_like(active))
     cr, insensitivity, bound = accuracy(jacobian, active, held)
     covariance = _scatter(problem, frf, jacobian, bound)
@@ -212,7 +223,7 @@ def _result(
             table=tuple(accuracy_row(*row) for row in figures),
             starts=tuple(row for row, _ in found),
         ),
-        constraints=constraint_table(solved, best.prices),
+        constraints=constraint_table(solved, best.prices, free.constraint_sizes),
         held=held_directions(free, values, parameters),
         covariance=bound if covariance is None else covariance,
         free_names=free.names,

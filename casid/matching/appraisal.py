@@ -180,9 +180,10 @@ def _runaway(free: Free, values: Array, guess: Array) -> str | None:
 def violated(free: Free, values: Array) -> str | None:
     """Say which constraint of the structure does not hold at free values; None if all do."""
     model = free.model.with_vector(free.full(values))
-    for item, wanted in zip(model.constraints(), free.model.constraints(), strict=True):
+    pairs = zip(model.constraints(), free.model.constraints(), strict=True)
+    for (item, wanted), size in zip(pairs, free.constraint_sizes.tolist(), strict=True):
         value = float(item.value)
-        slack = 1e-6 * max(1.0, abs(value))
+        slack = 1e-6 * max(size, abs(value))
         if not float(wanted.lower) - slack <= value <= float(wanted.upper) + slack:
             return (
                 f"constraint {item.name!r} is {value:.4g}, wanted between {wanted.lower:.4g} and "

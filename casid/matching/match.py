@@ -230,7 +230,7 @@ def _result(
         success=found.success, iterations=search.iterations, seconds=took,
         method=f"match {settings.norm}",
         notes=replace(found.appraisal.notes(found.start), weight=_named(settings.weight)),
-        constraints=constraint_table(model, found.prices),
+        constraints=constraint_table(model, found.prices, free.constraint_sizes),
         held=held_directions(free, values, parameters), certificate=found.appraisal.certificate(),
         free_names=free.names,
     )  # fmt: skip

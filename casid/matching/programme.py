@@ -126,7 +126,7 @@ class Programme:
         return Optimum(
             values=self.parameters(found.x), cost=found.f * unit, success=found.success,
             multipliers=-found.multipliers_x[: len(self.scale)] / self.scale * unit,
-            prices=-found.multipliers_g[ties] * unit,
+            prices=-found.multipliers_g[ties] / self.free.constraint_sizes * unit,
             status=found.status, iterations=found.iterations, held=self._held > 0,
         )  # fmt: skip
 

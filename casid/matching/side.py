@@ -29,9 +29,9 @@ class SideConstraints:
         lam = ca.SX.sym("lam", nf)
         A, *_, tau, c = free.model.matrices()(free.full(lam * free.scale[free.index]))
         composed = delay_parameters(free)[1]
-        limits = [(item.lower, item.upper) for item in free.model.constraints()]
+        limits = list(map(tuple, free.constraint_limits.T))
         limits += [(0.0, np.inf)] * len(composed)
-        parts, m = [ca.densify(c), *[tau[j] for j in composed]], ca.SX(0, 1)
+        parts, m = [ca.densify(c) / free.constraint_sizes, *[tau[j] for j in composed]], ca.SX(0, 1)
         none: Array = np.zeros(0)
         self.start = none, none, none
         if at is not None:

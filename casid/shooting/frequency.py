@@ -10,6 +10,7 @@ those of the cost with the transients eliminated.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -113,11 +114,15 @@ class SpectralProgramme:
 
     def _problem(self, start: Array) -> Problem:
         free, s = self.residuals.free, self.scales
-        ties, n = free.model.constraints(), len(start)
-        limits = np.array([(tie.lower, tie.upper) for tie in ties]).reshape(-1, 2)
+        limits, n = free.constraint_limits, len(start)
         x = start, free.lower[free.index] / s, free.upper[free.index] / s
-        J, H = ca.Sparsity.dense(len(ties), n), ca.Sparsity.upper(n)
-        return evaluated(self, x, (limits[:, 0], limits[:, 1]), J, H)
+        J, H = ca.Sparsity.dense(limits.shape[1], n), ca.Sparsity.upper(n)
+        return evaluated(self, x, (limits[0], limits[1]), J, H)
+
+    @cached_property
+    def ties(self) -> Array:
+        """Size of one of each of the structure's constraints, (m,)."""
+        return self.residuals.free.constraint_sizes
 
     def cost(self, x: Array) -> float:
         """The cost per measurement, NaN where the model has a pole on a line."""
@@ -131,12 +136,12 @@ class SpectralProgramme:
 
     def constraints(self, x: Array) -> Array:
         """Values of the structure's constraints."""
-        return self.residuals.matrices(x * self.scales).c
+        return np.asarray(self.residuals.matrices(x * self.scales).c / self.ties)
 
     def jacobian(self, x: Array) -> Array:
         """Their derivatives, column by column."""
         slopes = self.residuals.matrices(x * self.scales).dc
-        return np.asarray((slopes * self.scales[:, None]).ravel())
+        return np.asarray((slopes * self.scales[:, None] / self.ties).ravel())
 
     def hessian(self, x: Array, f: float, mu: Array) -> Array:  # noqa: ARG002 - as `Calls` has it
         """Upper triangle, by columns, of Gauss-Newton's Hessian of f times the cost."""

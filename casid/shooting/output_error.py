@@ -21,7 +21,7 @@ from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.display import counted
 from casid.errors import ConvergenceError
-from casid.estimates import constraint_table, held_directions, on_bounds, parameter_table
+from casid.estimates import constraint_table, held_directions, parameter_table
 from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
@@ -369,12 +369,11 @@ def _result(
     point, final = programme.unpack(solution.x), programme.values(solution.x)
     n = len(free.index)
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
-    lam = on_bounds(free, point.lam[:n], multipliers)
-    found = precision(programme, np.append(lam / programme.scales.lam[:n], solution.x[n:]))
-    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
+    lam, found = precision(programme, solution.x, multipliers)
+    model, ties = start.with_vector(free.full(lam)), programme.ties
     std, white = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     success, status = _verdict(outcome, found)
-    prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
+    prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :] / ties
     K, Q = evaluator.held_gain(point.lam), evaluator.densities(point.lam)
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     constant = np.isin(free.model.states, free.model.constant_states)
@@ -388,7 +387,8 @@ def _result(
             found.notes(outcome.rounds, programme.J, programme.nuisances, K, Q), integration=steps,
             covered=evaluator.covered(point), hold=common_hold(evaluator.layout.records),
         ),
-        constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
+        constraints=constraint_table(model, prices, ties),
+        held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,
         initial_states=point.nodes[firsts][:, own], biases=point.bias,
         interval=evaluator.layout.interval,

@@ -9,7 +9,7 @@ import scipy
 import scipy.linalg
 
 from casid.arrays import Array
-from casid.estimates import ACTIVE, holding
+from casid.estimates import ACTIVE, at_bounds, holding, on_bounds
 from casid.nlp import Solution
 from casid.record import Hold
 from casid.shooting import uncertainty
@@ -112,8 +112,29 @@ class Precision:
         )
 
 
-def precision(programme: Programme, x: Array) -> Precision:
-    """Precision of the free parameters at scaled variables x."""
+def precision(programme: Programme, x: Array, multipliers: Array) -> tuple[Array, Precision]:
+    """Free values (n,) at a solver's scaled variables x, on the bounds that hold; their precision.
+
+    ``multipliers`` are prices as `on_bounds` takes them.
+    """
+    n, lam = len(programme.free.index), _meant(programme, x, multipliers)
+    return lam, _precision(programme, np.append(lam / programme.scales.lam[:n], x[n:]))
+
+
+def _meant(programme: Programme, x: Array, multipliers: Array) -> Array:
+    n, scale = len(programme.free.index), programme.scales.lam
+
+    def felt() -> Array:
+        try:
+            F = information(programme, x)[0]
+        except (RuntimeError, np.linalg.LinAlgError):  # SciPy's word for an exactly singular factor
+            return np.full(n, np.inf)
+        return np.asarray(scale[:n] / np.sqrt(np.maximum(np.diag(F)[:n], 1e-300)))
+
+    return on_bounds(programme.free, programme.unpack(x).lam[:n], multipliers, felt)
+
+
+def _precision(programme: Programme, x: Array) -> Precision:
     names = unknown_names(programme)
     try:
         F, follow = information(programme, x)
@@ -188,10 +209,9 @@ def held(programme: Programme, x: Array) -> Array:
     # Parameters on a bound do not move, nor do ties and inequalities with no room left.
     free = programme.free
     n = len(free.index)
-    values, span = programme.unpack(x).lam[:n], free.scale[free.index]
-    lower, upper = free.lower[free.index], free.upper[free.index]
-    active = np.minimum(values - lower, upper - values) <= ACTIVE * span
-    rows = holding(free, values, active) * programme.scales.lam[:n]
+    values, scale = programme.unpack(x).lam[:n], programme.scales.lam[:n]
+    alone = np.maximum(np.diag(programme.blocks(x).Hll)[:n], 1e-300)
+    rows = holding(free, values, at_bounds(free, values, scale / np.sqrt(alone))) * scale
     return scipy.linalg.block_diag(rows, _filter_held(programme, x))
 
 

@@ -210,7 +210,7 @@ class Programme:
         moments = moments_of(motion.residuals, layout.pattern, len(layout.patterns))
         ends = motion.ends[np.argsort(layout.node)]
         gaps = (ends[self.links] - point.nodes[self.links + 1]) / self.scales.state
-        c = self.evaluator.matrices(point.lam).c
+        c = self.evaluator.matrices(point.lam).c / self.ties
         g = np.concatenate([gaps.ravel(), c])
         if not np.isfinite(moments).all():
             return Values(np.nan, g, np.eye(self.evaluator.ny), motion)
@@ -270,16 +270,15 @@ class Programme:
             Hln=G[:, :, l].transpose(0, 2, 1), Hbn=G[:, :, b].transpose(0, 2, 1), Hnn=G[:, :, n],
             gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, :, -1], ends=sums.ends,
             slope_l=slopes[:, :, l], slope_n=slopes[:, :, n], slope_b=slopes[:, :, b],
-            c_lam=sweep.matrices.c_lam * s.lam, sweep=sweep,
+            c_lam=sweep.matrices.c_lam / self.ties[:, None] * s.lam, sweep=sweep,
         )  # fmt: skip
 
     def units(self) -> tuple[Array, Array]:
         """Physical size of one of each variable, and of each constraint."""
         s = self.scales
         bias = [np.tile(s.bias, self.records)] if self.biases else []
-        c = np.ones(len(self.free.model.constraints()))
         x = np.concatenate([s.lam, *bias, np.tile(s.state, self.J)])
-        return x, np.concatenate([np.tile(s.state, len(self.links)), c])
+        return x, np.concatenate([np.tile(s.state, len(self.links)), self.ties])
 
     # ---- sparse assembly ------------------------------------------------------------------------
 
@@ -323,18 +322,23 @@ class Programme:
         return np.concatenate([blocks.gl, *bias, blocks.gn.ravel()]) / self.n
 
     @cached_property
+    def ties(self) -> Array:
+        """Physical size of one of each of the model's constraints, (m,)."""
+        return self.free.constraint_sizes
+
+    @cached_property
     def _hessian_pattern(self) -> Pattern:
         return Pattern(*self.hessian_places(), size=self.size)
 
     @cached_property
     def jacobian_pattern(self) -> Pattern:
         """Places of the constraints' Jacobian."""
-        rows = len(self.links) * self.evaluator.nx + len(self.free.model.constraints())
+        rows = len(self.links) * self.evaluator.nx + len(self.ties)
         return Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
 
     def _jacobian_entries(self) -> tuple[np.ndarray, np.ndarray]:
         l, b, n = self._places()
-        nx, ties = self.evaluator.nx, len(self.free.model.constraints())
+        nx, ties = self.evaluator.nx, len(self.ties)
         links = np.arange(len(self.links) * nx).reshape(-1, nx)
         grids = [
             grid(links, np.tile(l, (len(links), 1))),
@@ -374,10 +378,10 @@ class Programme:
 
     def limits(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Lower and upper bounds of the scaled λ and unknowns of a filter, and of constraints."""
-        free, ties, more = self.free, self.free.model.constraints(), self.evaluator.more
+        free, more = self.free, self.evaluator.more
         own = free.lower[free.index], free.upper[free.index]
         others = (np.zeros(0), np.zeros(0)) if more is None else more.bounds()
         lower, upper = (np.concatenate(part) for part in zip(own, others, strict=True))
         bounds = lower / self.scales.lam, upper / self.scales.lam
-        sides = np.array([(tie.lower, tie.upper) for tie in ties]).reshape(-1, 2).T
+        sides = free.constraint_limits
         return bounds, (sides[0], sides[1])

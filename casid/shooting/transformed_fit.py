@@ -9,7 +9,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ConvergenceError, warn
 from casid.estimates import (
-    ACTIVE,
+    at_bounds,
     constraint_table,
     held_directions,
     holding,
@@ -90,9 +90,15 @@ def _fit(
     programme, solution = outcome.programme, outcome.solution
     free, lines = programme.residuals.free, programme.residuals.lines
     multipliers = -programme.n * solution.multipliers_x / programme.scales
-    lam = on_bounds(free, solution.x * programme.scales, multipliers)
-    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
-    prices = -programme.n * solution.multipliers_g[: len(ties)]
+
+    def felt() -> Array:
+        state = programme.state(solution.x)
+        known = np.zeros(len(free.index)) if state is None else np.diag(state.F)
+        return np.asarray(1 / np.sqrt(np.maximum(known, 1e-300)))
+
+    lam = on_bounds(free, solution.x * programme.scales, multipliers, felt)
+    model, ties = start.with_vector(free.full(lam)), programme.ties
+    prices = -programme.n * solution.multipliers_g[: len(ties)] / ties
     found = _precision(programme, solution.x, lam, estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
@@ -110,7 +116,8 @@ def _fit(
         model=model, parameters=parameters, cost=programme.likelihood(solution.x), status=status,
         success=success, iterations=outcome.iterations, seconds=time.perf_counter() - begin,
         method=METHOD, notes=replace(notes, spectra=programme.spectra, hold=held),
-        constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
+        constraints=constraint_table(model, prices, ties),
+        held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=np.diag(R),
         initial_states=np.array([each.x0 for each in begun]),
         biases=np.array([each.b for each in begun]),
@@ -138,8 +145,9 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
         nothing = np.where(np.eye(n, dtype=bool), np.inf, np.nan)
         return Precision(nothing, nothing, np.full(n, np.inf), (), free.names)
     span = free.scale[free.index]
-    gap = np.minimum(lam - free.lower[free.index], free.upper[free.index] - lam)
-    ties = holding(free, lam, gap <= ACTIVE * span) * span
+    with np.errstate(divide="ignore"):
+        insensitivity = 1 / np.sqrt(np.maximum(np.diag(state.F), 0.0))
+    ties = holding(free, lam, at_bounds(free, lam, insensitivity)) * span
     unit = np.outer(span, span)
     pull = free.prior_residuals(lam)[1]
     alone = (sum(each.alone for each in state.residuals) + np.sum(pull**2, axis=0)) * span**2
@@ -149,8 +157,6 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     middle = _scatter(programme, state, lam) * unit
     robust = np.where(np.isfinite(scaled), known @ middle @ known, scaled)
-    with np.errstate(divide="ignore"):
-        insensitivity = 1 / np.sqrt(np.maximum(np.diag(state.F), 0.0))
     found = Precision(
         cramer_rao=scaled * unit,
         covariance=robust * unit,

@@ -49,6 +49,7 @@ SHARE = 0.1  # of a combination's largest entry: parameters with less are not na
 POINTS = 40  # of a black box's band
 COHERENCE = 0.6
 ENERGY = 1e-6  # share of the inputs' energy above the highest frequency that is used
+GUESSES = 10.0  # times its guess that a parameter may typically be
 AWAY = 100  # standard deviations of an output, off the measured one, that are running away
 ROUNDING = 1e-10  # share of an information that eliminating the unknowns leaves of one all theirs
 MOST = 200  # frequencies of a record that are used, for time and memory
@@ -174,7 +175,7 @@ def identifiability(
         F += sum(_record_information(at, r, sy) for r in chosen)
     for response in responses:
         F += _response_information(moved, response)
-    return _judge(free.names, F, free.scale[free.index], _ties(moved))
+    return _judge(free.names, F, _sizes(free), _ties(moved))
 
 
 def _ties(free: Free) -> Array:
@@ -185,9 +186,15 @@ def _ties(free: Free) -> Array:
     return np.asarray(free.constraint_slopes(free.guess)[np.array(equal)])
 
 
+def _sizes(free: Free) -> Array:
+    """Typical size (nf,) of the free parameters: bounds may be as wide as one likes."""
+    scale, size = free.scale[free.index], np.abs(free.guess)
+    return np.asarray(np.where(size > 0, np.minimum(scale, GUESSES * size), scale))
+
+
 def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:
     """The same free parameters about a guess moved within the bounds."""
-    scale = free.scale[free.index]
+    scale = _sizes(free)
     values = free.guess + spread * scale * rng.uniform(-1, 1, len(scale))
     values = np.clip(values, free.lower[free.index], free.upper[free.index])
     return replace(free, model=free.model.with_vector(free.full(values)))

@@ -14,7 +14,7 @@ from truths.closed_roll import (
     with_response,
 )
 
-from casid import ConvergenceError, Scalar, parameter
+from casid import Constraint, ConvergenceError, Scalar, parameter
 from casid.free import free_parameters
 from casid.nlp import Solution
 from casid.shooting.intervals import lay_out
@@ -158,7 +158,7 @@ def test_information_is_that_of_least_squares_with_all_else_projected_out():
     own, rest = J[:, :n], J[:, n:]
     projected = own - rest @ np.linalg.lstsq(rest, own, rcond=None)[0]
     covariance = np.linalg.inv(projected.T @ projected)
-    found = precision(programme, x)
+    found = precision(programme, x, np.zeros(n))[1]
     unit = np.outer(programme.scales.lam[:n], programme.scales.lam[:n])
     np.testing.assert_allclose(found.cramer_rao, covariance * unit, rtol=1e-4)
     alone = 1 / np.linalg.norm(projected, axis=0)
@@ -195,3 +195,39 @@ def test_a_solution_is_one_if_it_has_settled_and_nothing_speaks_against_it(
         status=status, iterations=1, seconds=0.0,
     )  # fmt: skip
     assert verdict(found, settled, "give R", more) == (said == "solved", said)
+
+
+@pytest.mark.filterwarnings("ignore:output error in the frequency domain")  # of few lines
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_bounds_and_constraints_that_do_not_bind_change_nothing_however_wide_they_are(domain):
+    records = [noisy(seed) for seed in (2, 3)]
+    plain = output_error(TRUTH, records, domain=domain)
+    name = max(plain.free_names, key=lambda each: plain[each].value)
+    value = plain[name].value
+    wide = output_error(TRUTH, records, domain=domain, bounds={name: (0.0, 1e6 * value)})
+    assert not wide[name].active
+    for row in plain.parameters:
+        assert abs(wide[row.name].value - row.value) < 0.01 * row.std_error
+        assert wide[row.name].std_error == pytest.approx(row.std_error, rel=1e-3)
+    for unit in (1e-8, 1.0, 1e8):
+        for most, active in ((1.2 * value, False), (0.9 * value, True)):
+            held = output_error(_limited(name, unit, most), records, domain=domain)
+            (row,) = held.constraints
+            assert row.active == active
+            if active:  # as its own bound holds it
+                bound = output_error(TRUTH, records, domain=domain, bounds={name: (0.0, most)})
+                assert row.multiplier * unit == pytest.approx(bound[name].multiplier, rel=2e-3)
+            for each in (bound if active else plain).parameters:
+                near = 0.01 * (plain[each.name].std_error)
+                assert abs(held[each.name].value - each.value) < near
+                np.testing.assert_allclose(held[each.name].std_error, each.std_error, rtol=1e-3)
+
+
+def _limited(name, unit, most):
+    class Limited(type(TRUTH)):
+        def constraints(self):
+            return (
+                Constraint("most", unit * getattr(self, name), upper=unit * most, lower=-np.inf),
+            )
+
+    return Limited(**{each: getattr(TRUTH, each) for each in TRUTH.parameter_names()})
