@@ -8,9 +8,9 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.consistency.lags import correlations, peak
 from casid.display import counted
-from casid.logs.conventions import Source
+from casid.logs.conventions import Source, continuous
 from casid.record import FEWEST, MOST, Hold, Record
-from casid.samples import Between, at_instants, jumps
+from casid.samples import Between, at_instants, jumps, unwrapped
 from casid.studies.preparation import with_inputs
 
 FASTEST = 0.01  # s, the shortest interval that is chosen
@@ -118,7 +118,8 @@ def _records(
     for channel, source in every.items():
         own, late = source.topic.t, 0.0 if channel in inputs else source.topic.age
         near = (own >= span[0] - APART) & (own <= span[1] + APART)
-        x = np.unwrap(source.values[near]) if channel in ("phi", "psi") else source.values[near]
+        x = source.values[near]
+        x = continuous(x) if channel in ("phi", "psi") else x
         if channel in inputs and hold == "foh" and in_steps(source):
             late = -source.topic.interval / 2  # below Nyquist's frequency steps are lines, later
         how: Between = hold if channel in inputs else "smooth"
@@ -155,7 +156,7 @@ def lateness(taken: Source, other: Source) -> Lateness | None:
     lags = int(LATE / step)
     if len(t) < 8 * lags:
         return None
-    x, y = (_steady(np.interp(t, each.topic.t, each.values)) for each in (taken, other))
+    x, y = (_steady(_lines(each, t)) for each in (taken, other))
     across = correlations(y, x, lags)
     k = int(np.argmax(across))
     if across[k] < COHERENT or not 0 < k < len(across) - 1:
@@ -163,6 +164,14 @@ def lateness(taken: Source, other: Source) -> Lateness | None:
     late = (peak(across, k) - lags) * step
     names = {"late": other.place, "than": taken.place}
     return Lateness(**names, seconds=late, correlation=float(across[k]))
+
+
+def _lines(source: Source, t: Array) -> Array:
+    """Known samples at other instants, an angle without its jumps by whole turns."""
+    x = source.values
+    x = x if (turned := unwrapped(x)) is None else turned
+    known = np.isfinite(x)
+    return np.interp(t, source.topic.t[known], x[known]) if known.any() else np.nan * t
 
 
 def _steady(x: Array) -> Array:

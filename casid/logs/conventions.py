@@ -9,6 +9,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, MEASURES, RATES, UNITS, VELOCITIES, factor_of
 from casid.logs.topics import SI_OF, SPELT, Log, Topic
+from casid.samples import at_instants
 
 LARGEST = 1e6  # in SI, or whatever an input is in: no channel of an aircraft reaches it
 MEASURED = 0.5  # of a column's samples, without which it is none
@@ -164,7 +165,7 @@ def derived(log: Log) -> Log:
             if set(velocity) <= set(topic.columns) and all(angles):
                 speeds = [topic.columns[each] for each in velocity]
                 held = [
-                    np.interp(topic.t, each.topic.t, np.unwrap(each.values))
+                    at_instants(each.topic.t, continuous(each.values), topic.t, "foh")
                     for each in angles
                     if each
                 ]
@@ -183,6 +184,13 @@ def _with_angles(topic: Topic) -> Topic:
     psi = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
     angles = dict(zip(ATTITUDES, (phi, theta, psi), strict=True))
     return replace(topic, columns={**topic.columns, **angles})
+
+
+def continuous(angle: Array) -> Array:
+    """An angle (N,) [rad] that goes on where it turned by a whole turn, unknown where it was."""
+    known, goes_on = np.isfinite(angle), angle.copy()
+    goes_on[known] = np.unwrap(angle[known])
+    return goes_on
 
 
 def into_body(speeds: Sequence[Array], angles: Sequence[Array]) -> list[Array]:

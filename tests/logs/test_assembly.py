@@ -72,6 +72,26 @@ def test_topics_that_hold_the_same_tell_their_delay(tmp_path):
     assert found.correlation > 0.95
 
 
+def test_headings_that_pass_north_are_no_later_than_they_are():
+    t, rng = np.arange(0, 60, 0.02), np.random.default_rng(3)
+    psi = 0.1 + 0.25 * np.sin(0.3 * t) + 0.05 * np.sin(1.7 * t)
+    one, other = (
+        source(own, (at + 0.002 * rng.standard_normal(len(own))) % (2 * np.pi), name)
+        for own, at, name in ((t, psi, "ATT"), (t[::5], psi[::5], "XKF1"))
+    )
+    assert abs(lateness(one, other).seconds) < 0.003
+
+
+def test_one_lost_heading_is_one_lost_sample():
+    t = np.arange(0, 20, 0.02)
+    psi = (3.0 + 0.05 * t + np.pi) % (2 * np.pi) - np.pi  # beyond π after 2.8 s
+    psi[400] = np.nan
+    inputs, outputs = {"roll": source(t, np.sin(t), "in")}, {"psi": source(t, psi, "out")}
+    (record,) = assemble(inputs, outputs, 0.02, "x")
+    assert np.isfinite(record.channel("psi")).mean() > 0.99
+    np.testing.assert_allclose(record.channel("psi")[:300], 3.0 + 0.05 * record.t[:300], atol=1e-9)
+
+
 def test_topics_that_are_not_alike_have_no_delay():
     t, (a, b) = np.arange(0, 30, 0.02), np.random.default_rng(0).standard_normal((2, 1500))
     assert lateness(source(t, a), source(t, b)) is None

@@ -8,6 +8,7 @@ from casid.logs.conventions import (
     BODY,
     Source,
     check_units,
+    continuous,
     derived,
     find_channels,
     into_body,
@@ -50,6 +51,30 @@ def test_velocities_north_east_down_become_those_of_the_body():
     ))  # fmt: skip
     for name, own in zip("uvw", wanted, strict=True):
         np.testing.assert_allclose(found.topics[BODY].columns[name], own, atol=1e-12)
+
+
+def test_one_lost_attitude_loses_no_other_and_a_turn_goes_on_across_it():
+    psi = 2.5 + 0.05 * np.arange(len(T))
+    slow = 0.05 * T
+    angles = np.transpose([psi, 0.1 * np.sin(slow), 0.2 * np.cos(slow)])  # ψ, θ, φ
+    speeds = np.transpose([20.0 + np.cos(slow), np.sin(slow), 0.5 * np.sin(slow)])
+    x, y, z, w = Rotation.from_euler("ZYX", angles).as_quat().T
+    lost = len(T) // 3
+    x[lost] = y[lost] = z[lost] = w[lost] = np.nan
+    found = derived(log(
+        vehicle_attitude={"q[0]": w, "q[1]": x, "q[2]": y, "q[3]": z},
+        vehicle_local_position=dict(zip(("vx", "vy", "vz"), speeds.T, strict=True)),
+    ))  # fmt: skip
+    wanted = Rotation.from_euler("ZYX", angles).inv().apply(speeds).T
+    for name, own in zip("uvw", wanted, strict=True):
+        off = found.topics[BODY].columns[name] - own
+        np.testing.assert_allclose(np.delete(off, lost), 0, atol=1e-9)
+        assert abs(off[lost]) < 0.01  # along a line between its neighbours
+    turned = (psi + np.pi) % (2 * np.pi) - np.pi
+    turned[lost] = np.nan
+    left = continuous(turned) - psi
+    assert np.isnan(left).sum() == 1
+    np.testing.assert_allclose(left[np.isfinite(left)], 0, atol=1e-12)
 
 
 def test_what_is_measured_goes_before_what_is_estimated_and_what_rests_is_passed_over():
