@@ -9,6 +9,8 @@ once with the outputs before the inputs in the same sample (what both innovation
 and once the other way round. Where little comes from outside, a model from u to y is the inverse of
 the controller (L. Ljung, System Identification, 2nd ed., section 13.4). Rates cannot jump with a
 command, so the first order is the one to believe; the second is what wrong clocks could hide.
+Specific forces do jump with it: they come after the inputs in both, and only what they were is fed
+back.
 
 Flights with other feedback or other inputs have autoregressions of their own: one of all of them
 takes what tells them apart for excitation. Only where Akaike's criterion prefers it, one is fitted
@@ -23,11 +25,12 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
-from casid.channels import RATES
+from casid.channels import FORCES, RATES
 from casid.display import Shown
 from casid.errors import DataWarning
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
+from casid.repetition import without_repeats
 from casid.samples import runs
 from casid.threads import one_thread
 from casid.values import storable
@@ -264,8 +267,9 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     ----------
     records : Record or sequence of Record
         With the same channels, judged flight by flight unless they agree, and put together. Outputs
-        that lag their inputs by a clock look like feedback, inputs that lag like excitation: apply
-        skews that are known (`Record.shift`).
+        late by a clock make feedback look like excitation, early ones excitation like feedback:
+        apply skews that are known (`Record.shift`). Outliers look like excitation, too: mask them
+        (`outliers`). Samples that only repeat the one before do not count.
     omega : array
         Frequencies [rad/s]; chosen from the records unless given.
 
@@ -274,13 +278,14 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     ValueError
         Records of different channels, or too short.
     """
-    flown = flights(records)
+    flown = flights([without_repeats(part) for part in stretches(records)])
     parts, found, dt = flown.parts, flown.models, flown.dt
     if omega is None:
         longest = max(part.duration for part in parts)
         omega = np.geomspace(min(4 * np.pi / longest, 0.2 / dt), 0.8 * np.pi / dt, POINTS)
     omega = np.asarray(omega, dtype=float)
-    lower, upper, joint, answers = outside_shares(found, len(flown.outputs), omega * dt)
+    felt = np.isin(flown.outputs, FORCES)
+    lower, upper, joint, answers = outside_shares(found, felt, omega * dt)
     # Spectra of p lags scatter as means of N/(2 p) periodograms, with which inputs agree by chance.
     means = sum(each.rows / (2 * len(each.A)) for each in found)
     coherence = 1 - (1 - answers[1]) * means / (means - len(flown.inputs))
@@ -357,10 +362,13 @@ def occupied_band(records: Sequence[Record], omega: Array) -> BoolArray:
 
 
 def outside_shares(
-    models: Sequence[VectorAutoregression], ny: int, phase: Array
+    models: Sequence[VectorAutoregression], felt: BoolArray, phase: Array
 ) -> tuple[Array, Array, Array, tuple[Array, Array]]:
-    """Lower, upper and joint share of the inputs from outside, and what follows them."""
-    spectra = [_spectra(each, ny, phase) for each in models]
+    """Lower, upper and joint share of the inputs from outside, and what follows them.
+
+    ``felt`` (ny,) are outputs that feel inputs in the same sample.
+    """
+    spectra, ny = [_spectra(each, felt, phase) for each in models], len(felt)
     late, early, whole = (sum(parts) for parts in zip(*spectra, strict=True))
     power = np.einsum("kii->ki", whole).real
     own, at_most = (np.einsum("kii->ki", each).real / power for each in (late, early))
@@ -375,14 +383,19 @@ def outside_shares(
     return own[:, ny:], at_most[:, ny:], joint, (answer, coherent_share(whole, ny, phase))
 
 
-def _spectra(model: VectorAutoregression, ny: int, phase: Array) -> tuple[Array, Array, Array]:
+def _spectra(
+    model: VectorAutoregression, felt: BoolArray, phase: Array
+) -> tuple[Array, Array, Array]:
     """Spectra (K, n, n) that the inputs' innovations make, last and first in a sample, and all."""
-    n = len(model.S)
-    other = [*range(ny, n), *range(ny)]
-    last, first = np.linalg.cholesky(model.S), np.zeros((n, n))
-    first[np.ix_(other, range(n))] = np.linalg.cholesky(model.S[np.ix_(other, other)])
+    ny, n = len(felt), len(model.S)
+    inputs, before, after = np.arange(ny, n), np.flatnonzero(~felt), np.flatnonzero(felt)
     H = np.linalg.inv(model.polynomial(phase))
-    factors = (H @ last[:, ny:], H @ first[:, : n - ny], H @ last)
+    made = []
+    for order in (np.r_[before, inputs, after], np.r_[inputs, before, after]):
+        root = np.zeros((n, n))
+        root[order] = np.linalg.cholesky(model.S[np.ix_(order, order)])
+        made.append(H @ root[:, np.isin(order, inputs)])
+    factors = (*made, H @ root)
     late, early, whole = (model.rows * F @ F.conj().swapaxes(1, 2) for F in factors)
     return np.asarray(late), np.asarray(early), np.asarray(whole)
 

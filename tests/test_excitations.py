@@ -208,8 +208,51 @@ def test_flights_under_other_feedback_are_judged_one_by_one():
     np.testing.assert_allclose(found.lower[inside, 0], truth, atol=0.1)
     assert "Of input u only" in found.doubts()[0]
     columns = [np.hstack([each.y, each.u]) for each in flights]
-    pooled = outside_shares([of_records(columns, DT)], 1, found.omega * DT)[0][inside, 0]
+    none = np.zeros(1, dtype=bool)
+    pooled = outside_shares([of_records(columns, DT)], none, found.omega * DT)[0][inside, 0]
     assert np.median(pooled - truth) > 0.3  # what tells the flights apart, taken for excitation
+
+
+@pytest.mark.parametrize("K", [0.0, 3.0])
+def test_a_force_that_feels_the_stick_at_once_is_no_feedback(K):
+    # 3-2-1-1 as sharp steps: q and az answer, az in the same sample, and q alone is fed back.
+    rng, flights = np.random.default_rng(int(K)), []
+    for k in range(3):
+        N = 3000
+        steps = np.sign(np.sin(np.cumsum(rng.uniform(0.02, 0.12, N)))) * (np.arange(N) > 200)
+        y, u, x, v = np.zeros((N, 2)), np.zeros(N), 0.0, 0.0
+        for i in range(N):
+            v = 0.9 * v + 0.002 * rng.standard_normal()
+            q = x + v
+            u[i] = 0.1 * steps[i] - 0.1 * K * q
+            y[i] = q, -5.0 * u[i] + 2.0 * q + 0.05 * rng.standard_normal()
+            x = 0.96 * x + 0.05 * u[i]
+        flights.append(Record(DT * np.arange(N), u[:, None], y, ("lon",), ("q", "az"), f"{k}"))
+    found = excitation(flights)
+    inside = found.within[:, 0]
+    assert not [each for each in found.doubts() if "Of input" in each]
+    assert found.lower[inside, 0].min() > 0.8
+    driven = [looped(4.0, 0.0, seed=k) for k in range(2)]  # and a loop that nobody flies is told
+    rng = np.random.default_rng(1)
+    felt = [
+        Record(
+            each.t, each.u, np.hstack([each.y, each.u + 0.01 * rng.standard_normal(each.u.shape)]),
+            each.inputs, ("q", "az"), each.name,
+        )
+        for each in driven
+    ]  # fmt: skip
+    assert excitation(felt).lower[:, 0].max() < 0.3
+
+
+def test_samples_that_a_slower_sensor_repeats_tell_no_excitation():
+    loop = looped(4.0, 0.0, seed=3, N=12000)
+    fresh = excitation(loop)
+    held = loop.y[np.arange(loop.N) // 4 * 4]
+    repeats = Record(loop.t, loop.u, held, loop.inputs, loop.outputs, "held")
+    found = excitation(repeats)
+    low = found.omega < 0.2 * np.pi / DT / 4
+    assert fresh.lower[low, 0].max() < 0.1
+    assert found.lower[low, 0].max() < 0.3
 
 
 def test_flights_that_agree_share_one_autoregression():
