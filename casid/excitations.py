@@ -9,8 +9,7 @@ once with the outputs before the inputs in the same sample (what both innovation
 and once the other way round. Where little comes from outside, a model from u to y is the inverse of
 the controller (L. Ljung, System Identification, 2nd ed., section 13.4). Rates cannot jump with a
 command, so the first order is the one to believe; the second is what wrong clocks could hide.
-Specific forces do jump with it: they come after the inputs in both, and only what they were is fed
-back.
+Specific forces do jump with it: they come after the inputs, and only what they were is fed back.
 
 Flights with other feedback or other inputs have autoregressions of their own: one of all of them
 takes what tells them apart for excitation. Only where Akaike's criterion prefers it, one is fitted
@@ -99,10 +98,7 @@ class Excitation(Shown):
     def headline(self) -> str:
         """The median share of every input from outside, and where it is smallest."""
         if self.singular:
-            return (
-                "outputs are predictable without error, as without noise; their spectra are "
-                "singular and tell nothing of feedback"
-            )
+            return "outputs are predictable without error, as without noise: singular, it tells nothing"
         said = []
         for name, share, inside in zip(self.inputs, self.lower.T, self.within.T, strict=True):
             if inside.any():
@@ -157,10 +153,9 @@ class Excitation(Shown):
         return found
 
     def _alone(self, i: int, name: str) -> str:
-        bands = wide_bands(self.omega, self.within[:, i] & (self.lower[:, i] < LITTLE))
-        if not bands:
-            return ""
         inside = self.within[:, i] & (self.lower[:, i] < LITTLE)
+        if not (bands := wide_bands(self.omega, inside)):
+            return ""
         low, high = (float(np.median(each[inside, i])) for each in (self.lower, self.upper))
         named = " and ".join(f"{a:.2g}-{b:.2g}" for a, b in bands)
         return (
@@ -250,8 +245,7 @@ def flights(records: Records, *, together: bool = False) -> Flights:
     same_channels(parts)
     dt = max(part.dt for part in parts)
     parts = [part if part.dt > 0.999 * dt else part.resample(dt) for part in parts]
-    columns = [np.hstack([part.y, part.u]) for part in parts]
-    columns = [z - z.mean(axis=0) for z in columns]
+    columns = [z - z.mean(axis=0) for z in (np.hstack([part.y, part.u]) for part in parts)]
     size = np.sqrt(np.mean(np.vstack(columns) ** 2, axis=0))
     size = np.where(size > 0, size, 1.0)
     unit = [z / size for z in columns]
@@ -357,17 +351,13 @@ def occupied_band(records: Sequence[Record], omega: Array) -> BoolArray:
         power += np.column_stack([np.interp(grid, [0.0, *at], column) for column in total.T])
     share = power / np.maximum(power[-1], 1e-300)
     inside = (share >= EDGES[0]) & (share <= EDGES[1])
-    found = [np.interp(omega, grid, column.astype(float)) > 0.5 for column in inside.T]
-    return np.column_stack(found)
+    return np.column_stack([np.interp(omega, grid, each.astype(float)) > 0.5 for each in inside.T])
 
 
 def outside_shares(
     models: Sequence[VectorAutoregression], felt: BoolArray, phase: Array
 ) -> tuple[Array, Array, Array, tuple[Array, Array]]:
-    """Lower, upper and joint share of the inputs from outside, and what follows them.
-
-    ``felt`` (ny,) are outputs that feel inputs in the same sample.
-    """
+    """Lower, upper, joint share from outside, what follows; ``felt``: outputs that feel at once."""
     spectra, ny = [_spectra(each, felt, phase) for each in models], len(felt)
     late, early, whole = (sum(parts) for parts in zip(*spectra, strict=True))
     power = np.einsum("kii->ki", whole).real
@@ -383,9 +373,7 @@ def outside_shares(
     return own[:, ny:], at_most[:, ny:], joint, (answer, coherent_share(whole, ny, phase))
 
 
-def _spectra(
-    model: VectorAutoregression, felt: BoolArray, phase: Array
-) -> tuple[Array, Array, Array]:
+def _spectra(model: VectorAutoregression, felt: BoolArray, phase: Array) -> tuple[Array, ...]:
     """Spectra (K, n, n) that the inputs' innovations make, last and first in a sample, and all."""
     ny, n = len(felt), len(model.S)
     inputs, before, after = np.arange(ny, n), np.flatnonzero(~felt), np.flatnonzero(felt)
@@ -395,9 +383,8 @@ def _spectra(
         root = np.zeros((n, n))
         root[order] = np.linalg.cholesky(model.S[np.ix_(order, order)])
         made.append(H @ root[:, np.isin(order, inputs)])
-    factors = (*made, H @ root)
-    late, early, whole = (model.rows * F @ F.conj().swapaxes(1, 2) for F in factors)
-    return np.asarray(late), np.asarray(early), np.asarray(whole)
+    made.append(H @ np.linalg.cholesky(model.S))
+    return tuple(np.asarray(model.rows * F @ F.conj().swapaxes(1, 2)) for F in made)
 
 
 def coherent_share(whole: Array, ny: int, phase: Array) -> Array:

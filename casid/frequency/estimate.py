@@ -9,13 +9,14 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import warn
 from casid.frequency.composite import window_weights
 from casid.frequency.feedback import MUCH, NoiseInInputs, bias_of_windows
-from casid.frequency.leakage import leakage
+from casid.frequency.leakage import leakage, over_three
 from casid.frequency.local import local_response
 from casid.frequency.response import FED_BACK, UNDRIVEN
 from casid.frequency.spectra import Conditioned
 from casid.record import Record
 
 WEAK = 10.0  # F of references in an input, at least (Staiger and Stock): else up to a tenth is bias
+SURE = 2.0  # of the noise of a difference that is no bias
 HANN = 3.84  # rad: standard deviation of a Hann window's spectral window, times its length
 
 
@@ -58,7 +59,12 @@ class Estimate:
         )
 
     def refined(
-        self, records: Sequence[Record], omega: Array, heard: Sequence[int], noise: NoiseInInputs
+        self,
+        records: Sequence[Record],
+        omega: Array,
+        heard: Sequence[int],
+        noise: NoiseInInputs,
+        references: int = 0,
     ) -> "Estimate":
         """What local models say of outputs that move, where these exist and inputs separate.
 
@@ -79,7 +85,7 @@ class Estimate:
             return self
         names = [records[0].outputs[i] for i in heard]
         parts = [record.select(outputs=names) for record in records]
-        local = local_response(parts, omega, noise.of(heard))
+        local = local_response(parts, omega, None if references else noise.of(heard), references)
         if local is None:
             warn(
                 "losses leave no stretch for local models at some frequency: the response is that "
@@ -88,7 +94,8 @@ class Estimate:
             return self
         rows = np.isfinite(self.G[:, heard]) & np.isfinite(local.G) & (np.abs(local.G) > 0)
         found = {}
-        for name in ("G", "random_error", "leakage", "feedback", "resolution"):
+        told = ["G", "random_error", "leakage", "resolution"]
+        for name in told if references else (*told, "feedback"):
             found[name] = np.array(getattr(self, name))
             found[name][:, heard] = np.where(rows, getattr(local, name), found[name][:, heard])
         every = rows.all(axis=(1, 2))
@@ -97,6 +104,20 @@ class Estimate:
         block = np.ix_(np.flatnonzero(every), np.array(heard), np.array(heard))
         outputs[block] = local.output_correlation[every]
         return replace(self, **found, input_correlation=inputs, output_correlation=outputs)
+
+    def compared(self, other: "Estimate") -> "Estimate":
+        """The estimate with its leakage as another tells it, which has little.
+
+        Window lengths may all be biased alike, so that they tell nothing of it; they do where noise
+        hides how far the other is.
+        """
+        noise = 2 * (self.random_error**2 + other.random_error**2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            apart = np.abs(self.G - other.G) ** 2 / np.abs(self.G) ** 2
+        beyond = over_three(np.fmax(np.nan_to_num(apart - SURE * noise, posinf=0.0), 0.0))
+        hidden = np.fmin(self.leakage**2, noise) + other.leakage**2
+        told = np.sqrt(beyond / (1 + beyond) + hidden)  # of both together, as local models have it
+        return replace(self, leakage=np.where(np.isfinite(apart + told), told, self.leakage))
 
     def under_feedback(
         self, omega: Array, last: Sequence[float]

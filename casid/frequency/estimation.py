@@ -63,7 +63,7 @@ class SpectralAnalysis:
         min(half the longest record, a fifth of all records together), T&R section 10.3.
     method : {"local", "windows"}
         What the response comes from. Averaged spectra ("windows") are all there is where
-        ``conditioned`` is False or there is a ``reference``.
+        ``conditioned`` is False; elsewhere what tells them from local models counts as leakage.
     conditioned : bool
         False takes every pair by itself, as if the other inputs did not move.
     reference : sequence of str
@@ -100,15 +100,15 @@ class SpectralAnalysis:
         lengths, parts, counted = _parts(moving, omega, lengths, self)
         usable = _usable(omega, lengths, parts, counted)
         merged = composite(parts, usable)
-        number = merged.condition if self.conditioned else np.ones(len(omega))
         su, sy = standard_deviations(records)
         heard = [i for i, name in enumerate(outputs) if name not in silent]
         laid = partial(_laid, where=np.ix_(heard, active), shape=(len(outputs), len(inputs)))
         multiple = np.where(np.isin(outputs, silent), np.nan, merged.multiple_coherence)
         noise = self._noise(moving, omega)
         estimate = Estimate.of_windows(merged, parts, usable, lengths, omega, noise)
-        if self.method == "local" and self.conditioned and not self.reference:
-            estimate = estimate.refined(moving, omega, heard, noise)
+        if self.conditioned:
+            local = estimate.refined(moving, omega, heard, noise, len(self.reference))
+            estimate = local if self.method == "local" else estimate.compared(local)
         estimate, lost = estimate.under_feedback(
             omega, [ends.get(inputs[i], np.inf) for i in active]
         )
@@ -120,7 +120,10 @@ class SpectralAnalysis:
             inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
             multiple_coherence=multiple, condition=merged.condition,
             windows=tuple(lengths),
-            flags=_flags(omega, lengths[-1], usable, counted, number)
+            flags=_flags(
+                omega, lengths[-1], usable, counted,
+                merged.condition if self.conditioned else np.ones(len(omega)),
+            )
             | _listed({why.format(inputs[i]): np.asarray(gone[:, heard, k].any(axis=1))
                        for why, gone in lost.items() for k, i in enumerate(active)}),
             records=tuple(record.name for record in records),

@@ -12,6 +12,9 @@ record and output, A of degree two for all of them, since all share the poles. T
 before the record and goes on after it, leakage: it is estimated, not tapered away. B(0) is the
 response. Output by output the residuals V have one variance there; it makes the random error.
 
+References from outside a loop are the inputs of the local models, inputs and outputs their outputs,
+which share the loop's poles: `casid.frequency.referring`.
+
 Departure: what models of finite width miss (bias) is estimated too, from the differences to those
 of a degree more, and stated beside the random error.
 """
@@ -28,6 +31,7 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
 from casid.frequency.feedback import NoiseInInputs, relative
 from casid.frequency.leakage import over_three
+from casid.frequency.referring import of_inputs
 from casid.frequency.spectra import correlation
 from casid.record import Record
 from casid.samples import runs
@@ -68,21 +72,30 @@ class LocalResponse:
 
 
 def local_response(
-    records: Sequence[Record], omega: Array, noise: NoiseInInputs | None = None
+    records: Sequence[Record],
+    omega: Array,
+    noise: NoiseInInputs | None = None,
+    references: int = 0,
 ) -> LocalResponse | None:
     """Response at frequencies (K,) [rad/s] of equidistant records, all of whose channels move.
 
-    ``noise`` is that of the outputs in the inputs, none unless given.
+    ``noise`` is that of the outputs in the inputs, none unless given. The last ``references`` of
+    the inputs are such, as many as there are inputs beside them.
 
     None where a record lacks a channel, or losses leave no stretch at some frequency.
     """
     if any(np.isnan(record.y).all(axis=0).any() for record in records):
         return None
-    lines = _lines_at(records, omega)
+    lines = _lines_at(records, omega, references)
     if not all(lines):
         return None
     G, error, half, back, outputs, inputs = _at_all(lines, omega, QUADRATIC, noise)
-    squared = _beyond_noise(G, error, *_at_all(lines, omega, CUBIC)[:2])
+    other, more, *_, correlated, powers = _at_all(lines, omega, CUBIC)
+    if references:
+        G, error, outputs, inputs = of_inputs(G, error, outputs, inputs, references)
+        other, more, *_ = of_inputs(other, more, correlated, powers, references)
+        back = np.zeros_like(G)  # averaged spectra tell what noise does in references
+    squared = _beyond_noise(G, error, other, more)
     # An input is smooth between its samples, or straight: sinc²(ωh/2) lies between the two.
     between = omega**2 * max((r.dt**2 for r in records if r.hold != "zoh"), default=0.0) / 12
     squared = np.maximum(squared, 0.0)
@@ -104,7 +117,7 @@ def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Arra
     return over_three(squared)
 
 
-def _lines_at(records: Sequence[Record], omega: Array) -> list[Sequence[Lines]]:
+def _lines_at(records: Sequence[Record], omega: Array, references: int) -> list[Sequence[Lines]]:
     """Lines to take at every frequency: of stretches without losses longer than a period."""
     full = [filled(record) for record in records]
     known: dict[tuple[bytes, ...], Sequence[Lines]] = {}
@@ -114,7 +127,11 @@ def _lines_at(records: Sequence[Record], omega: Array) -> list[Sequence[Lines]]:
         key = tuple(gaps.tobytes() for gaps in cuts)
         if key not in known:
             parts = zip(full, cuts, strict=True)
-            known[key] = [_lines(p) for (r, _), gaps in parts for p in _between(r, gaps)]
+            known[key] = [
+                _lines(piece, references)
+                for (record, _), gaps in parts
+                for piece in _between(record, gaps)
+            ]
         found.append(known[key])
     return found
 
@@ -135,14 +152,18 @@ def _between(record: Record, gaps: NDArray[np.intp]) -> list[Record]:
     return [record.take(slice(a, b)) for a, b in pairs if b - a > 2]
 
 
-def _lines(record: Record) -> Lines:
+def _lines(record: Record, references: int) -> Lines:
+    """Transforms of inputs and outputs; of references and, as outputs too, inputs."""
     values = np.hstack([record.u, record.y])
     X = np.fft.rfft(values - values.mean(axis=0), axis=0)[1:] * np.sqrt(record.dt / record.N)
     omega = 2 * np.pi * np.arange(1, len(X) + 1) / (record.N * record.dt)
     if record.hold == "zoh":  # the spectrum of the steps, not of a smooth input through the samples
         jh = 1j * omega * record.dt
         X[:, : record.nu] *= ((1 - np.exp(-jh)) / jh)[:, None]
-    return Lines(omega, X[:, : record.nu], X[:, record.nu :])
+    own = record.nu - references  # the inputs: before the outputs where they are outputs, too
+    if references:
+        return Lines(omega, X[:, own : record.nu], np.delete(X, slice(own, record.nu), axis=1))
+    return Lines(omega, X[:, :own], X[:, own:])
 
 
 def _at_all(

@@ -29,12 +29,15 @@ def test_the_stated_error_of_a_noise_free_sweep_is_that_of_its_windows(system, l
     found = frequency_response(swept(system, linear=linear), method="windows")
     error = np.abs(found.G / system.response(found.omega) - 1)[:, 0, 0] / np.sqrt(2)
     score = error / found.error[:, 0, 0]
-    assert 0.5 < np.sqrt(np.mean(score**2)) < 1.1
+    assert np.sqrt(np.mean(score**2)) < 1.1
     assert score.max() < 3
-    low = slice(0, 4)
-    if linear and system is LAG:  # coherence of 0.99, 2 dB off
-        assert (error / found.random_error[:, 0, 0])[low].min() > 5
-        assert score[low].max() < 1.5
+    leaking = (error > 2 * found.random_error[:, 0, 0]) & (found.omega < 3.0)
+    if linear:  # coherence of 0.99, 2 dB off: what windows leak is told as large as it is
+        assert leaking.sum() > 4
+        # Of 60 % of a response: what is stated has limits, as a logarithm's error has.
+        assert 0.5 < np.sqrt(np.mean(score[leaking] ** 2)) < 1.2
+    else:
+        assert np.sqrt(np.mean(score**2)) > 0.5
 
 
 @pytest.mark.parametrize("method", ["local", "windows"])

@@ -201,7 +201,7 @@ def test_long_losses_part_a_record_and_short_ones_do_not():
     y = record.y.copy()
     y[100:104] = y[600:640] = np.nan  # 0.2 s and 2 s
     omega, holed = np.array([1.0, 2.0, 5.0]), dataclasses.replace(record, y=y)
-    apart = _lines_at([holed], omega)
+    apart = _lines_at([holed], omega, 0)
     assert [len(each) for each in apart] == [1, 1, 2]  # periods of 6, 3 and 1.3 s
     assert [each.omega[0] for each in apart[2]] == [
         pytest.approx(2 * np.pi / (n * record.dt)) for n in (600, record.N - 640)
@@ -216,7 +216,7 @@ def test_channels_whose_samples_never_coincide_are_one_record():
     y[k % 2 == 0, 0], y[k % 4 != 0, 1] = np.nan, np.nan
     omega, slower = np.array([0.5, 3.0]), dataclasses.replace(record, y=y)
     assert np.isnan(y).any(axis=1).all()
-    assert [len(each) for each in _lines_at([slower], omega)] == [1, 1]
+    assert [len(each) for each in _lines_at([slower], omega, 0)] == [1, 1]
     both = [local_response([each], omega) for each in (record, slower)]
     np.testing.assert_allclose(both[1].G, both[0].G, rtol=0.05, atol=0.01)
 
