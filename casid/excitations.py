@@ -98,7 +98,7 @@ class Excitation(Shown):
     def headline(self) -> str:
         """The median share of every input from outside, and where it is smallest."""
         if self.singular:
-            return "outputs are predictable without error, as without noise: singular, it tells nothing"
+            return "outputs are predictable without error, as without noise: singular, no evidence"
         said = []
         for name, share, inside in zip(self.inputs, self.lower.T, self.within.T, strict=True):
             if inside.any():
