@@ -30,6 +30,7 @@ MANY = 0.01  # of a channel's samples that jump: fits that see them follow
 LONG, LEAP = 80, 0.5  # samples between jumps of a run; these, in the channel's deviations
 COUNTS = 1.5  # steps of a channel that is counted in such: to the next one is no jump
 MOSTLY = 0.25  # of a channel between such jumps: that is its way
+ABSURD = 5.0  # times the range of all other samples, as far as a value is from their middle
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 
 
@@ -68,7 +69,8 @@ def _far(record: Record) -> BoolArray:
     width = _width(part)
     lasts = np.column_stack([_steady(x, width) for x in part.y.T])
     lasts[~(_stepped(part) & (width > 3))] = np.nan  # of slow samples lags reach far enough
-    marks = _runs(part)
+    marks = np.column_stack([_no_value(x) for x in part.y.T])
+    marks |= _runs(part.mask(marks))
     marks |= _jumps(part.mask(marks), lasts)
     for _ in range(PASSES):
         whole, lost = filled(part.mask(marks))
@@ -83,6 +85,18 @@ def _far(record: Record) -> BoolArray:
         marks |= far
     found[:, there] = marks[own]
     return found
+
+
+def _no_value(x: Array) -> BoolArray:
+    """Samples (N,) of one value far beyond all others: what recorders write where there is none."""
+    marks, seen = np.zeros(len(x), dtype=bool), x[np.isfinite(x)]
+    for value in (seen.min(), seen.max()) if len(seen) else ():
+        others = seen[seen != value]
+        reach = np.ptp(others) if len(others) else 0.0
+        often = 1 < len(seen) - len(others) <= MOSTLY * len(seen)
+        if often and 0 < ABSURD * reach < np.abs(value - np.median(others)):
+            marks |= x == value
+    return marks
 
 
 def _jumps(record: Record, lasts: Array) -> BoolArray:
@@ -158,7 +172,8 @@ def _large(u: Array, moves: Array) -> Array:
 def _between(x: Array, stepped: BoolArray) -> BoolArray:
     """Samples (N,) from a jump of a channel to the last of those that follow soon.
 
-    Where an input jumps, a jump begins or ends a run only with another that no input explains.
+    Where an input jumps, a jump begins or ends a run only with another that no input explains. One
+    near an end of the record that no other belongs to may end or begin a run there.
     """
     marks, at = np.zeros(len(x), dtype=bool), np.flatnonzero(np.isfinite(x))
     moves = np.abs(np.diff(x[at]))
@@ -170,8 +185,10 @@ def _between(x: Array, stepped: BoolArray) -> BoolArray:
         if len(ends) == 1 and len(answers):
             near = answers[np.argmin(np.abs(answers - part))]
             ends += [near] if abs(near - part[0]) <= LONG else []
+        if len(ends) == 1 and min(part[0], len(at) - part[0]) <= LONG:
+            ends.append(0 if part[0] <= LONG else len(at))
         if len(ends) > 1:
-            marks[at[min(ends) : max(ends)]] = True
+            marks[at[int(min(ends)) : int(max(ends))]] = True
     return marks if marks.sum() <= MOSTLY * len(at) else np.zeros_like(marks)
 
 

@@ -155,6 +155,31 @@ def test_a_run_of_outliers_is_found_whole_and_nothing_beside_it(kind, length):
     np.testing.assert_array_equal(outliers(spoilt), there)
 
 
+@pytest.mark.parametrize("first", [0, 450])
+@pytest.mark.parametrize("length", [2, 5, 20])
+@pytest.mark.parametrize("value", [-9999.0, 99.0])
+def test_what_a_recorder_writes_where_it_has_no_value_is_found(value, length, first):
+    rng = np.random.default_rng(length)
+    record = closed_roll.flown(t=0.02 * np.arange(900), seed=12).with_noise(NOISE, rng)
+    y, i = record.y.copy(), record.outputs.index("p")
+    y[first : first + length, i] = value
+    np.testing.assert_array_equal(outliers(replace(record, y=y)), y != record.y)
+
+
+@pytest.mark.parametrize(
+    ("kind", "length"),
+    [("offset", 3), ("offset", 8), ("offset", 20), ("garbage", 3), ("garbage", 8)],
+)
+@pytest.mark.parametrize("last", [False, True])
+def test_a_run_at_an_end_of_the_record_is_found_whole(kind, length, last):
+    rng = np.random.default_rng(length + 1)
+    record = closed_roll.flown(t=0.02 * np.arange(900), seed=12).with_noise(NOISE, rng)
+    spoilt, there = garbled(record, kind, 900 - length if last else 0, length, rng)
+    found = outliers(spoilt)
+    assert (found & there).sum() >= there.sum() - 1  # one may lie where it is expected
+    assert not (found & ~there).any()
+
+
 @pytest.mark.parametrize("at", [418, 462])
 def test_a_run_that_begins_or_ends_as_a_stick_jumps_is_found_whole(at):
     rng = np.random.default_rng(3)
