@@ -26,7 +26,7 @@ def select(
     G = in_channels(model, *names, frf.G)
     gamma = in_channels(model, *names, frf.coherence)
     gamma = np.where(np.isfinite(gamma), gamma, 0.0)
-    known = np.isfinite(G) & (np.abs(G) > 0)
+    known = np.isfinite(G) & (np.abs(G) > 0) & (gamma > 0)  # without coherence nothing weighs
     if pairs is None:
         used = known & (gamma >= coherence)
         used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))

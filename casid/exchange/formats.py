@@ -14,6 +14,8 @@ from casid import files
 from casid.arrays import Array
 from casid.channels import UNITS, factor_of
 from casid.checks import optional
+from casid.display import counted, listed
+from casid.errors import warn
 from casid.exchange.objects import from_dataframe, to_dataframe
 from casid.fit import AnyFit
 from casid.folder import replacing
@@ -205,6 +207,13 @@ def write_frequency(path: str | Path, response: FrequencyResponse) -> None:
     In MATLAB arrays run (output, input, frequency), so that ``frd(response, omega)`` takes them.
     """
     suffix = _suffix(path, (".json", ".csv", ".mat"))
+    if response.flags and suffix != ".json":
+        count = len(set().union(*response.flags.values()))
+        warn(
+            f"{path}: {counted(count, 'frequency', 'frequencies')} to distrust, "
+            f"{listed(tuple(response.flags), 3)}; that is not in such a file: write JSON, or leave "
+            "them out (`FrequencyResponse.take`)"
+        )
     if suffix == ".json":
         response.save(path)
     elif suffix == ".csv":

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from casid.arrays import Array, ComplexArray
+from casid.checks import check_known
 from casid.files import read_columns
 from casid.frequency.response import FrequencyResponse
 from casid.records import several
@@ -58,6 +59,8 @@ def read_frequency_csv(
         raise ValueError('pairs is empty; name at least one: {("p", "lat"): ("gain", "phase")}')
     outputs = tuple(dict.fromkeys(output for output, _ in pairs))
     inputs = tuple(dict.fromkeys(name for _, name in pairs))
+    check_known("input_std: no pair has", input_std or (), inputs)
+    check_known("output_std: no pair has", output_std or (), outputs)
     wanted = [omega, *(column for columns in pairs.values() for column in columns)]
     table = read_columns(path, list(dict.fromkeys(wanted)))
     shape = (len(table[omega]), len(outputs), len(inputs))

@@ -1,5 +1,7 @@
 """Which points count, and how much, against the definition of the cost."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from truths.structures import TRUTH, HoverRoll
@@ -63,3 +65,21 @@ def test_thinning_takes_the_nearest_measured_points():
     middle = np.sqrt(OMEGA[0] * OMEGA[-1])
     nearest = OMEGA[np.argmin(np.abs(np.log(OMEGA / middle)))]
     np.testing.assert_allclose(frf.omega, [OMEGA[0], nearest, OMEGA[-1]])
+
+
+def test_points_without_coherence_do_not_count_in_the_mean_either():
+    whole = measured()
+    gone = whole.coherence.copy()
+    gone[:5, 0, 0] = np.nan
+    gone[5, 0, 0] = 0.0
+    pair = [(whole.outputs[0], whole.inputs[0])]
+    found = select(TRUTH, dataclasses.replace(whole, coherence=gone), pair)
+    rest = select(TRUTH, whole.take(np.arange(6, len(whole.omega))), pair)
+    G = 1.3 * TRUTH.system().response(whole.omega)
+    costs = []
+    for source, response in ((found, G), (rest, G[6:])):
+        r = weighted_errors(response, source.G, source.decibel_weight)
+        costs.append(np.sum(r**2))
+    np.testing.assert_allclose(costs[0], costs[1])
+    with pytest.raises(ValueError, match="lat"):
+        select(TRUTH, dataclasses.replace(whole, coherence=0 * gone), pair)

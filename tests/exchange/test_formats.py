@@ -11,6 +11,7 @@ from truths.roll_study import write_study
 from truths.systems import same
 
 from casid import FrequencyResponse, read_frequency_csv
+from casid.errors import DataWarning
 from casid.estimates import parameter_table
 from casid.exchange.formats import (
     frequency_table,
@@ -206,3 +207,12 @@ def test_pairs_whose_names_join_alike_are_kept_apart(response, tmp_path):
     write_frequency(tmp_path / "frf.csv", alike)
     back = read_frequency_csv(tmp_path / "frf.csv", pairs=pairs_of(alike))
     np.testing.assert_allclose(back.G, alike.G, rtol=1e-12)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat"])
+def test_points_to_distrust_are_told_where_a_file_does_not_hold_them(suffix, response, tmp_path):
+    write_frequency(tmp_path / f"plain{suffix}", replace(response, flags={}))
+    flagged = replace(response, flags={"inputs move together": (0, 1), "few periods": (1,)})
+    with pytest.warns(DataWarning, match=r"2 frequencies to distrust, inputs move together, few"):
+        write_frequency(tmp_path / f"flagged{suffix}", flagged)
+    write_frequency(tmp_path / "flagged.json", flagged)

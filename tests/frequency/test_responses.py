@@ -131,3 +131,13 @@ def test_responses_of_other_frequencies_stand_side_by_side_with_all_their_errors
     np.testing.assert_allclose(found.error[[2, 4], 1, 0], 0.03)
     assert np.isnan(found.G[[2, 4], 0, 0]).all()
     assert np.isnan(found.G[[0, 1, 3], 1, 0]).all()
+
+
+def test_a_size_of_a_channel_that_no_pair_has_is_refused(tmp_path):
+    path = write(tmp_path / "p.csv", {"omega": [1.0, 2.0], "dB": [0.0, -1.0], "deg": [0.0, -9.0]})
+    kept = {"omega": "omega", "pairs": {("p", "lat"): ("dB", "deg")}, "form": "dB deg"}
+    assert read_frequency_csv(path, **kept, input_std={"lat": 2.0}).input_std == 2.0
+    with pytest.raises(ValueError, match="input_std: no pair has 'latt'"):
+        read_frequency_csv(path, **kept, input_std={"latt": 2.0})
+    with pytest.raises(ValueError, match="output_std: no pair has 'lat'"):
+        read_frequency_csv(path, **kept, output_std={"lat": 2.0})
