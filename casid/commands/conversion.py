@@ -20,10 +20,10 @@ from casid.exchange.stepping import usual_steps
 from casid.fit import AnyFit, Fit, is_fit
 from casid.folder import check_target, spare
 from casid.frequency.response import FrequencyResponse
-from casid.jobs.origins import structure_files
 from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
+from casid.structure.imports import structure_files
 from casid.structure.modelfile import load_model, locate_model
 from casid.textfile import read_json
 

@@ -11,6 +11,7 @@ from casid import limits
 from casid.errors import ModelError
 from casid.limits import TEXT_BYTES, OutOfTimeError, check_file, time_limit
 from casid.model import Model
+from casid.structure.imports import check_imports
 
 
 def load_model(reference: str, folder: str | Path = ".") -> type[Model]:
@@ -90,6 +91,7 @@ def _execute(path: Path) -> ModuleType:
         raise ModelError(
             f"model file {path}{line} does not import: {type(error).__name__}: {error}"
         ) from error
+    check_imports(path)
     return module
 
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from casid.channels import units_of
 from casid.consistency.flights import Repeats
-from casid.jobs.origins import equations_digest, structure_files
+from casid.jobs.origins import equations_digest
 from casid.record import Record
 from casid.report.content import Content, DataFile, Timing
 from casid.stages.stage import Role, StageResults
+from casid.structure.imports import structure_files
 from casid.studies.study import Study
 from casid.studies.written import versions
 
