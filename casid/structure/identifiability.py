@@ -49,7 +49,7 @@ SHARE = 0.1  # of a combination's largest entry: parameters with less are not na
 POINTS = 40  # of a black box's band
 COHERENCE = 0.6
 ENERGY = 1e-6  # share of the inputs' energy above the highest frequency that is used
-GUESSES = 10.0  # times its guess that a parameter may typically be
+WIDE, GUESSES = 1e3, 10.0  # times a guess: bounds that are no scale, and what is one then
 AWAY = 100  # standard deviations of an output, off the measured one, that are running away
 ROUNDING = 1e-10  # share of an information that eliminating the unknowns leaves of one all theirs
 MOST = 200  # frequencies of a record that are used, for time and memory
@@ -187,9 +187,9 @@ def _ties(free: Free) -> Array:
 
 
 def _sizes(free: Free) -> Array:
-    """Typical size (nf,) of the free parameters: bounds may be as wide as one likes."""
+    """Typical size (nf,) of the free parameters; bounds as wide as one likes say nothing of it."""
     scale, size = free.scale[free.index], np.abs(free.guess)
-    return np.asarray(np.where(size > 0, np.minimum(scale, GUESSES * size), scale))
+    return np.asarray(np.where((size > 0) & (scale > WIDE * size), GUESSES * size, scale))
 
 
 def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:

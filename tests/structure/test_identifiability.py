@@ -89,6 +89,27 @@ def test_a_zero_guess_hides_nothing_unless_asked_to():
     assert there.insensitive == ("a",)
 
 
+class Driven(Model):
+    """x' = -a x + b u: without b nothing is felt."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a: Scalar = parameter(default=1.0, lower=0.1, upper=5.0, unit="1/s")
+    b: Scalar = parameter(default=2.0, lower=0.0, upper=1e6, unit="-")
+
+    def A(self) -> Rows:
+        return [[-self.a]]
+
+    def B(self) -> Rows:
+        return [[self.b]]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bound_as_far_as_one_likes_moves_no_parameter_where_nothing_is_felt(seed):
+    for highest in (5.0, 1e6, 1e9):
+        found = identifiability(Driven(), flown(Driven()), bounds={"b": (0.0, highest)}, seed=seed)
+        assert (found.rank, found.insensitive) == (2, ())
+
+
 def test_information_of_a_black_box_is_its_closed_form():
     # g = c / (s + a): the relative derivatives are -1/(s + a) and 1/c.
     model = Lag(a=2.0, b=1.0, c=3.0)
