@@ -276,8 +276,8 @@ class _TransferFunctionFit:
     def doubt(self, x: Array, *, settled: bool) -> str:
         """What speaks against a fit, with the remedy; nothing if nothing does."""
         (nz, n), (J, free) = self.order, self._free_jacobian(x)
-        names = [f"b_{i}" for i in range(nz + 1)] + [f"a_{i}" for i in range(1, n + 1)]
-        names = np.array([*names, "the delay"][: len(x)])[free]
+        b, a = (f"b_{i}" for i in range(nz + 1)), (f"a_{i}" for i in range(1, n + 1))
+        names = np.array([*b, *a, "the delay"][: len(x)])[free]
         alone = 1 / (np.sqrt(2) * np.linalg.norm(J, axis=0))
         if lost := list(names[_root_of_inverse(J) > UNTOLD * alone]):
             return f"the measurement does not determine {', '.join(lost)}; lower the order"
