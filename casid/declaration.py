@@ -13,6 +13,7 @@ from casid.errors import ModelError, warn
 from casid.limits import OutOfTimeError, time_limit
 
 WIDEST = 1e12  # of a finite bound
+SHARPEST = 1e-12  # of a number's size: the deviation of a prior, whose weight is its inverse square
 NOTHING = "it depends on no state and no input"
 
 
@@ -92,8 +93,8 @@ def check_pair(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the use
     check_order(name, lower, upper)
 
 
-def check_prior(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the user wrote
-    """Refuse what is no value with a standard deviation."""
+def check_prior(name: str, pair: Any, size: float = 1.0) -> None:  # noqa: ANN401 - whatever the user wrote
+    """Refuse what is no value with a standard deviation that a number of some size can have."""
     try:
         value, std = map(float, pair)
     except (TypeError, ValueError):
@@ -101,6 +102,11 @@ def check_prior(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the us
     if not (np.isfinite(value) and 0 < std < np.inf):
         raise ModelError(
             f"{name}: its prior is {pair!r}, expected a value and a standard deviation above 0"
+        )
+    if std < (least := SHARPEST * max(abs(value), size)):
+        raise ModelError(
+            f"{name}: its prior has a standard deviation of {std:g}, less than rounding; fix a "
+            f"parameter (fixed=), or give a deviation of {least:g} or more"
         )
 
 
