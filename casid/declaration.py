@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
+from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -35,6 +36,20 @@ def check_names(cls: type, attribute: str, names: Any) -> None:  # noqa: ANN401 
             )
 
 
+def number(value: Any) -> Any:  # noqa: ANN401 - whatever the user wrote
+    """A real number as a float; all else as it is, for who knows its name to refuse."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    return float(value) if isinstance(value, Real) else value
+
+
+def check_number(where: str, value: Any) -> float:  # noqa: ANN401 - whatever the user wrote
+    """The number that a value is; ModelError if it is none."""
+    if not isinstance(found := number(value), float):
+        raise ModelError(f"{where} is {value!r}, expected a real number")
+    return found
+
+
 def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[str]) -> None:  # noqa: ANN401 - a Field
     """Refuse a parameter without type or unit, of a taken name, or with impossible bounds."""
     info, default = declared.metadata["parameter"], declared.default
@@ -47,13 +62,16 @@ def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[st
         )
     if not isinstance(info.unit, str) or not info.unit.strip():
         raise ModelError(f'{where} has no unit; write unit="1/s", or unit="-" if it has none')
+    for what in ("lower", "upper"):
+        check_number(f"{where}: {what}", getattr(info, what))
+    check_number(f"{where}: default", default)
     check_order(where, info.lower, info.upper)
     if not info.lower <= default <= info.upper:
         raise ModelError(
             f"{where}: default {default:g} is outside its bounds [{info.lower:g}, {info.upper:g}]; "
             "move the guess or the bound"
         )
-    if info.scale is not None and not (np.isfinite(info.scale) and info.scale > 0):
+    if info.scale is not None and not 0 < check_number(f"{where}: scale", info.scale) < np.inf:
         raise ModelError(f"{where}: scale={info.scale}, expected a positive number")
 
 
