@@ -107,11 +107,20 @@ def _store(study: Study) -> Store:
 
 
 def origin(study: Study) -> str:
-    """Digest of all that the files of a study are made of: records as their files have them."""
+    """Digest of all that the files of a study are made of: records as their files have them.
+
+    ValueError: one of these files is gone.
+    """
     said = [getattr(study, each.name) for each in fields(study) if each.name not in APART]
     flown = [file for each in study.roles.values() for file in each.files]
     second = study.channels.second
     flown += [] if second is None else [second.beside(file) for file in flown]
+    for file in (study.path, study.model_file, *flown):
+        if not file.is_file():
+            raise ValueError(
+                f"{file}, of which study {study.path} was read, is no longer there; put it back, "
+                "or correct the study and read it again"
+            )
     return digest(
         [source_digest(shown=True), versions()],
         [structure_digest(study.model_file), equations_digest(study.model), asdict(study.model)],
