@@ -27,7 +27,7 @@ def test_a_file_that_is_gone_since_the_study_was_read_is_named(tmp_path, gone, f
     study = read_study(write_study(tmp_path))
     lost = next(tmp_path.glob(gone))
     lost.unlink()
-    with pytest.raises(ValueError, match=f"{lost.name}, of which study .* no longer there; put it"):
+    with pytest.raises(ValueError, match=f"{lost.name}: cannot read it as .*; check the path"):
         run_study(study, fresh=fresh)
 
 
