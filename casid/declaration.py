@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
+from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -13,6 +14,7 @@ from casid.errors import ModelError, warn
 from casid.limits import OutOfTimeError, time_limit
 
 WIDEST = 1e12  # of a finite bound
+SHARPEST = 1e-12  # of a number's size: the deviation of a prior, whose weight is its inverse square
 NOTHING = "it depends on no state and no input"
 
 
@@ -34,6 +36,20 @@ def check_names(cls: type, attribute: str, names: Any) -> None:  # noqa: ANN401 
             )
 
 
+def number(value: Any) -> Any:  # noqa: ANN401 - whatever the user wrote
+    """A real number as a float; all else as it is, for who knows its name to refuse."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    return float(value) if isinstance(value, Real) else value
+
+
+def check_number(where: str, value: Any) -> float:  # noqa: ANN401 - whatever the user wrote
+    """The number that a value is; ModelError if it is none."""
+    if not isinstance(found := number(value), float):
+        raise ModelError(f"{where} is {value!r}, expected a real number")
+    return found
+
+
 def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[str]) -> None:  # noqa: ANN401 - a Field
     """Refuse a parameter without type or unit, of a taken name, or with impossible bounds."""
     info, default = declared.metadata["parameter"], declared.default
@@ -46,13 +62,16 @@ def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[st
         )
     if not isinstance(info.unit, str) or not info.unit.strip():
         raise ModelError(f'{where} has no unit; write unit="1/s", or unit="-" if it has none')
+    for what in ("lower", "upper"):
+        check_number(f"{where}: {what}", getattr(info, what))
+    check_number(f"{where}: default", default)
     check_order(where, info.lower, info.upper)
     if not info.lower <= default <= info.upper:
         raise ModelError(
             f"{where}: default {default:g} is outside its bounds [{info.lower:g}, {info.upper:g}]; "
             "move the guess or the bound"
         )
-    if info.scale is not None and not (np.isfinite(info.scale) and info.scale > 0):
+    if info.scale is not None and not 0 < check_number(f"{where}: scale", info.scale) < np.inf:
         raise ModelError(f"{where}: scale={info.scale}, expected a positive number")
 
 
@@ -92,8 +111,8 @@ def check_pair(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the use
     check_order(name, lower, upper)
 
 
-def check_prior(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the user wrote
-    """Refuse what is no value with a standard deviation."""
+def check_prior(name: str, pair: Any, size: float = 1.0) -> None:  # noqa: ANN401 - whatever the user wrote
+    """Refuse what is no value with a standard deviation that a number of some size can have."""
     try:
         value, std = map(float, pair)
     except (TypeError, ValueError):
@@ -101,6 +120,11 @@ def check_prior(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the us
     if not (np.isfinite(value) and 0 < std < np.inf):
         raise ModelError(
             f"{name}: its prior is {pair!r}, expected a value and a standard deviation above 0"
+        )
+    if std < (least := SHARPEST * max(abs(value), size)):
+        raise ModelError(
+            f"{name}: its prior has a standard deviation of {std:g}, less than rounding; fix a "
+            f"parameter (fixed=), or give a deviation of {least:g} or more"
         )
 
 

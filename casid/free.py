@@ -8,10 +8,12 @@ import casadi as ca
 import numpy as np
 
 from casid import declaration
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.checks import check_known
 from casid.errors import ModelError
 from casid.model import NO_DELAY, Bounds, Initial, Model, Priors
+
+NEAR = 1e-7  # of a parameter's scale, beyond a bound: on it, as far as a solver keeps to it
 
 
 class Evidence(Protocol):
@@ -54,7 +56,7 @@ class Free:
     def allows(self, values: Array) -> bool:
         """Whether free values (nf,) are within the bounds, as far as a solver keeps to them."""
         low, high, near = self.lower[self.index], self.upper[self.index], self.scale[self.index]
-        return bool(((low - 1e-7 * near <= values) & (values <= high + 1e-7 * near)).all())
+        return bool(((low - NEAR * near <= values) & (values <= high + NEAR * near)).all())
 
     def prior_residuals(self, values: Array) -> tuple[Array, Array]:
         """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf).
@@ -121,8 +123,6 @@ def free_parameters(
     """Which parameters are free in which bounds, equal ones fixing; ModelError if none can be."""
     bounds, priors = dict(bounds or {}), dict(priors or {})
     _check_choice(model, fixed, {**bounds, **priors})
-    for name, pair in priors.items():
-        declaration.check_prior(name, pair)
     infos = model.infos()
     limits = {name: bounds.get(name, (info.lower, info.upper)) for name, info in infos.items()}
     for name, pair in limits.items():
@@ -146,9 +146,38 @@ def free_parameters(
     scale = np.array(
         [s or (value if value > 0 else 1.0) for s, value in zip(given, typical, strict=True)]
     )
+    _check_held(model, held, lower - NEAR * scale, upper + NEAR * scale)
     names = list(infos)
+    for name, pair in priors.items():
+        declaration.check_prior(name, pair, scale[names.index(name)])
     known = {names[i]: priors[names[i]] for i in index if names[i] in priors}
     return Free(model, index, lower, upper, scale, known)
+
+
+def violated(free: Free, values: Array) -> str | None:
+    """Say which constraint of the structure does not hold at free values; None if all do."""
+    model = free.model.with_vector(free.full(values))
+    pairs = zip(model.constraints(), free.model.constraints(), strict=True)
+    for (item, wanted), size in zip(pairs, free.constraint_sizes.tolist(), strict=True):
+        value = float(item.value)
+        slack = 1e-6 * max(size, abs(value))
+        if not float(wanted.lower) - slack <= value <= float(wanted.upper) + slack:
+            return (
+                f"constraint {item.name!r} is {value:.4g}, wanted between {wanted.lower:.4g} and "
+                f"{wanted.upper:.4g}; loosen it, or a bound that contradicts it; of a trim, make "
+                "another state or input unknown"
+            )
+    return None
+
+
+def _check_held(model: Model, held: BoolArray, lower: Array, upper: Array) -> None:
+    """Refuse a fixed value outside its bounds (n_λ,): a table would show both."""
+    values, names = model.vector(), model.parameter_names()
+    for i in np.flatnonzero(held & ~((lower <= values) & (values <= upper))):
+        raise ModelError(
+            f"{names[i]} is fixed at {values[i]:g}, outside its bounds [{lower[i]:.6g}, "
+            f"{upper[i]:.6g}]: give it a value within them, move the bounds, or free it"
+        )
 
 
 def _check_delays(model: Model, lower: Array, upper: Array) -> None:

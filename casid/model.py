@@ -53,7 +53,7 @@ class Constraint:
     upper: float = 0.0
 
     def __post_init__(self) -> None:
-        declaration.check_order(str(self.name), self.lower, self.upper)
+        declaration.check_pair(str(self.name), (self.lower, self.upper))
 
 
 def parameter(
@@ -81,10 +81,11 @@ def parameter(
     ------
     ModelError
         When the class is made: lower > upper, a guess outside the bounds, no unit, a scale that is
-        not positive.
+        not positive, any of them that is no real number.
     """
-    info = ParameterInfo(float(lower), float(upper), unit, scale)
-    return field(default=float(default), metadata={"parameter": info})
+    lower, upper, scale = map(declaration.number, (lower, upper, scale))
+    info = ParameterInfo(lower, upper, unit, scale)
+    return field(default=declaration.number(default), metadata={"parameter": info})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,8 +161,10 @@ class Model:
         return tuple(cls.infos())
 
     def vector(self) -> Array:
-        """Parameter values λ, (n_λ,)."""
-        return np.array([float(getattr(self, name)) for name in self.parameter_names()])
+        """Parameter values λ, (n_λ,); ModelError for one that is no number."""
+        named = {f"{type(self).__name__}.{name}": name for name in self.parameter_names()}
+        values = [declaration.check_number(n, getattr(self, name)) for n, name in named.items()]
+        return np.array(values)
 
     def with_vector(self, values: Any) -> Self:  # noqa: ANN401 - SX or array
         """The same structure and trim with other parameter values: an (n_λ,) array or SX."""

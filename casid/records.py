@@ -1,6 +1,6 @@
 """Several manoeuvres: their stretches without gaps, channels they share, sizes of these."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -22,7 +22,15 @@ Records: TypeAlias = Record | Sequence[Record]
 
 
 def several(items: T | Iterable[T]) -> tuple[T, ...]:
-    """One value or several alike, as a tuple: what arguments ``records`` and ``target`` take."""
+    """One value or several alike, as a tuple: what arguments ``records`` and ``target`` take.
+
+    ValueError: a generator, which would be empty for whoever looks next.
+    """
+    if isinstance(items, Iterator):
+        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+            f"records or responses come from a {type(items).__name__}, which gives them only once; "
+            "pass a list, list(...)"
+        )
     return tuple(items) if isinstance(items, Iterable) else (items,)
 
 

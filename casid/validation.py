@@ -5,8 +5,7 @@ approach", Fig. 11 (RMS divided by the largest among the models), and R. Jategao
 System Identification, chapter 11 (Theil's coefficient, whiteness of the residuals).
 
 A model is simulated over each record; where one grows too much over it, all are predicted piece by
-piece, over a horizon that the result states (`casid.prediction`). A nonlinear structure is taken as
-such, in total values.
+piece, over a horizon that the result states (`casid.prediction`); a nonlinear one in totals.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -165,6 +164,9 @@ def validate(
 ) -> Validation:
     """Simulate or predict each model on each record and measure what is left.
 
+    Initial state and biases are of least squares, outputs in standard deviations over all records
+    given: the errors in a record depend on its company. Compare models on the same records.
+
     Parameters
     ----------
     models : mapping
@@ -187,11 +189,10 @@ def validate(
     Raises
     ------
     ValueError
-        No model, no record, a model whose inputs the records lack, no output in common, a discrete
+        No model or record, a model whose inputs the records lack, no output in common, a discrete
         model whose interval is not that of the records, a model with NaN in it, a record with less
-        than three measurements for every initial state and bias, a horizon that does not fit the
-        records. A `DataWarning` tells of a nonlinear structure that is taken beyond
-        its tables and the records of its fit.
+        than three measurements for every initial state and bias, a horizon that does not fit. A
+        `DataWarning`: a nonlinear structure is taken beyond its tables and the records of its fit.
     """
     if not models:
         raise ValueError('no models given; expected {"name": model, ...}')

@@ -22,6 +22,17 @@ from casid import Constraint, Model, ModelError, Rows, parameter
             r"Lag.a: default 1 is outside its bounds \[-inf, 0\]",
         ),
         ({"a": parameter(default=1.0, unit="-", scale=0.0)}, "Lag.a: scale=0.0, expected a pos"),
+        (
+            {"a": parameter(default=None, unit="-")},
+            "Lag.a: default is None, expected a real",
+        ),
+        ({"a": parameter(default=-1.0, lower=None, unit="-")}, "Lag.a: lower is None, expected"),
+        (
+            {"a": parameter(default=-1.0, upper=[0.0], unit="-")},
+            r"Lag.a: upper is \[0.0\], expec",
+        ),
+        ({"a": parameter(default=-1 + 0j, unit="-")}, r"Lag.a: default is \(-1\+0j\), expected"),
+        ({"a": parameter(default=-1.0, unit="-", scale="a")}, "Lag.a: scale is 'a', expected"),
         ({"__annotations__": {}}, "Lag.a has no type: write a: Scalar = parameter"),
         (
             {"D": parameter(default=0.0, unit="-"), "__annotations__": {"a": float, "D": float}},
@@ -77,6 +88,10 @@ def test_another_value_of_a_base_without_a_type_is_refused_as_it_would_change_no
         (
             {"constraints": lambda self: [Constraint("c", self.a, 2.0, 1.0)]},
             "Lag.constraints: c: lower bound 2.0 > upper bound 1.0",
+        ),
+        (
+            {"constraints": lambda self: [Constraint("c", self.a, None, 1.0)]},
+            r"Lag.constraints: c: bounds are \(None, 1.0\), expected two numbers",
         ),
         (
             {"constraints": lambda _: [Constraint("c", "a")]},

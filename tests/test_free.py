@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 import pytest
-from truths.structures import HoverRoll, Roll
+from truths.structures import HoverRoll, Lag, Roll
 
 from casid import Constraint, Model, ModelError, Rows, Scalar, parameter
-from casid.free import delay_parameters, free_parameters
+from casid.free import delay_parameters, free_parameters, violated
 
 
 def test_fixed_parameters_are_numbers_and_free_ones_variables():
@@ -33,6 +33,11 @@ def test_a_guess_outside_narrowed_bounds_starts_on_them():
     assert free.guess[free.names.index("Lp")] == -4.0
 
 
+def test_a_fixed_parameter_may_be_on_a_bound_as_near_as_solvers_end_there():
+    free = free_parameters(Roll(Lp=-4.0 + 1e-9), fixed=("Lp",), bounds={"Lp": (-9.0, -4.0)})
+    assert "Lp" not in free.names
+
+
 def test_scales_come_from_the_file_the_guess_or_the_bounds():
     scale = dict(zip(Roll.parameter_names(), free_parameters(Roll(Lv=0.0)).scale, strict=True))
     assert scale["Lp"] == 2.0  # the file's word
@@ -52,6 +57,16 @@ def test_scales_come_from_the_file_the_guess_or_the_bounds():
         ({"bounds": {"Lp": (None, 0.0)}}, r"Lp: bounds are \(None, 0.0\), expected two numbers"),
         ({"fixed": "Lp"}, r"expected a collection of names, \('Lp',\)"),
         ({"fixed": Roll.parameter_names()}, "every parameter is fixed"),
+        (
+            {"fixed": ("Lp",), "bounds": {"Lp": (-9.0, -4.0)}},
+            r"Lp is fixed at -3, outside its bounds \[-9, -4\]: give it a value within them",
+        ),
+        ({"fixed": ("Lp",), "bounds": {"Lp": (-4.0, -4.0)}}, "Lp is fixed at -3, outside"),
+        (
+            {"priors": {"Lp": (-3.0, 1e-300)}},
+            r"Lp: its prior has a standard deviation of 1e-300, .* \(fixed=\), .* of 3e-12 or more",
+        ),
+        ({"priors": {"Llat": (0.0, 1e-12)}}, "Llat: .* less than rounding; .* of 2e-11 or more"),
     ],
 )
 def test_a_wrong_choice_of_free_parameters_is_told(choice, message):
@@ -136,3 +151,23 @@ def test_bare_and_composed_delays_are_told_apart():
     assert delay_parameters(free_parameters(HoverRoll(), fixed={"Lv"})) == ([3], [])
     assert delay_parameters(free_parameters(TwoParts())) == ([], [0])
     assert delay_parameters(free_parameters(HoverRoll(), fixed={"tau"})) == ([], [])
+
+
+class Fast(Lag):
+    """A lag whose gain is at least its speed."""
+
+    a: Scalar = parameter(default=1.0, unit="1/s", scale=1.0)
+
+    def A(self) -> Rows:
+        return [[-self.a]]
+
+    def constraints(self):
+        return [Constraint("fast enough", self.k - self.a, lower=0.0, upper=np.inf)]
+
+
+def test_constraints_hold_to_rounding_and_are_named_where_they_do_not():
+    free = free_parameters(Fast())
+    assert violated(free, np.array([1.0, 1.0])) is None
+    assert violated(free, np.array([1.0, 1.0 - 1e-7])) is None
+    said = "constraint 'fast enough' is -0.001, wanted between 0 and inf; loosen it, or a bound"
+    assert violated(free, np.array([1.0, 0.999])).startswith(said)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import FrozenInstanceError, replace
+from fractions import Fraction
 
 import casadi as ca
 import numpy as np
@@ -75,6 +76,21 @@ def test_the_methods_of_a_structure_run_once_for_all_its_values():
     assert Counted(scale=2.0).system().B[1, 0] == 40.0  # another trim, other matrices
     assert Counted().system().B[1, 0] == 20.0
     assert runs == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, "3", -3 + 1j, np.complex128(-3), np.array([-3.0]), np.array([-3.0, -2.0])],
+    ids=repr,
+)
+def test_a_value_that_is_no_number_is_told_with_its_parameter(value):
+    with pytest.raises(ModelError, match=r"Roll.Lp is .*, expected a real number"):
+        Roll(Lp=value).system()
+
+
+def test_a_value_may_be_any_real_number():
+    values = (-3, np.float32(-3), np.array(-3.0), Fraction(-3))
+    assert {Roll(Lp=value).vector()[2] for value in values} == {-3.0}
 
 
 def test_a_guess_that_gives_nan_is_told_with_the_entry():

@@ -35,6 +35,22 @@ def test_records_of_one_campaign_share_their_channels():
         same_channels([record(), record(name="b", outputs=("p", "r", "psi"))])
 
 
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda records: output_error(Roll(), records),
+        lambda records: validate({"roll": Roll()}, records),
+        pbsid,
+        stretches,
+    ],
+    ids=["output_error", "validate", "pbsid", "stretches"],
+)
+def test_records_of_a_generator_are_refused_as_they_could_be_read_only_once(use):
+    for once in ((each for each in [record()]), map(replace, [record()])):
+        with pytest.raises(ValueError, match=r"come from a (generator|map), .* pass a list"):
+            use(once)
+
+
 def test_standard_deviations_pool_all_samples_and_leave_still_channels_at_one():
     y = np.ones((5, 3)) * [1.0, 2.0, 0.1]
     y[:, 0], y[0, 0] = [9, 1, 2, 3, 4], np.nan

@@ -26,7 +26,7 @@ from casid.estimates import (
     parameter_table,
 )
 from casid.fit import AnyFit, Fit
-from casid.free import free_parameters
+from casid.free import free_parameters, violated
 from casid.frequency.covariance import whitener
 from casid.frequency.response import FrequencyResponse
 from casid.matching.conditions import fit_at_conditions
@@ -106,8 +106,10 @@ class Derivid:
         best = solve(problem, found, self.solver)
         fit = _result(problem, model, measured, found, best, time.perf_counter() - began)
         if not fit.success:
+            broken = violated(free, best.values)
+            why = f"{fit.status}: {broken}" if broken else fit.status
             raise ConvergenceError(
-                f"derivid: none of {starts} starts converged ({fit.status}); the best iterate, "
+                f"derivid: none of {starts} starts converged ({why}); the best iterate, "
                 f"with J = {fit.cost:.4g}, is in .best",
                 fit,
             )
@@ -149,8 +151,8 @@ def derivid(
     model, fixed, bounds
         As in `Estimator.fit`; channels are found in the response by name. Delays are kept at >= 0.
     target : FrequencyResponse
-        What to fit; several are merged first (`merge_responses`). Of a `NonlinearModel` responses
-        at flight conditions, ``{Trim(...): response, ...}``.
+        What to fit; one, so put several together with `merge_responses`. Of a `NonlinearModel`
+        responses at flight conditions, ``{Trim(...): response, ...}``.
     pairs, n_omega, band, starts, priors, solver
         As in `Derivid`, which has the rarer settings too.
 
@@ -180,7 +182,10 @@ def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> Freq
     """The one response of the data; ValueError for several, or something else."""
     given = several(data)
     if len(given) != 1:
-        raise ValueError(f"derivid fits one frequency response, not {len(given)}; merge them first")
+        raise ValueError(
+            f"derivid fits one frequency response, not {len(given)}; put them together with "
+            "merge_responses([...])"
+        )
     if not isinstance(given[0], FrequencyResponse):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
             f"the target is a {type(given[0]).__name__}: derivid fits a measured "

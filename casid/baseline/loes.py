@@ -16,7 +16,7 @@ import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, warn
 from casid.frequency.response import FrequencyResponse, response_of_pair
 from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, weighted_errors
 from casid.records import several
@@ -25,6 +25,8 @@ from casid.records import several
 DELAYS = np.array([0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4])
 REFINED = 3  # starts that are carried to the end
 SWEEPS = 8  # Sanathanan-Koerner iterations of a start
+UNTOLD = 1e6  # times the error that an unknown has if all others are known: not determined
+ROUNDING = 1e-8  # part in a direction without effect that is none
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -41,7 +43,8 @@ class TransferFunction(Shown):
         Cost, T&R: up to 100 is acceptable, up to 50 hardly distinguishable from the measurement.
     std_error : (nz + 1 + np + 1,) array
         √(H⁻¹)ᵢᵢ of the numerator's, the denominator's free coefficients and the delay, H the
-        Gauss-Newton Hessian of J; NaN for a delay that is fixed or at 0.
+        Gauss-Newton Hessian of J; infinite where the measurement does not tell coefficients apart,
+        NaN for a delay that is fixed or at 0.
     omega : (K,) array
         Frequencies fitted [rad/s].
     mismatch_db, mismatch_deg : (K,) array
@@ -122,6 +125,8 @@ def transfer_function(
     ------
     ValueError, ConvergenceError
         An order that makes no sense, a pair without enough coherent points; no start led to a fit.
+        A `DataWarning` tells of an order of which the measurement does not tell all coefficients,
+        and of a fit that may still get better.
     """
     degrees = [float(degree) for degree in order]
     if len(degrees) != 2 or not all(each >= 0 and each.is_integer() for each in degrees):
@@ -143,13 +148,16 @@ def transfer_function(
             "threshold, or improve the measurement"
         )
     problem = _TransferFunctionFit(frf.omega[used], G[used], gamma[used], (nz, np_), delay)
-    x = problem.solve()
+    x, settled = problem.solve()
+    std_error, doubt = problem.std_error(x), problem.doubt(x, settled=settled)
+    if doubt:
+        warn(f"transfer function of order ({nz}, {np_}) for {output}/{name}: {doubt}")
     numerator, denominator, tau = problem.unpack(x)
     found = problem.response(x)
     difference = log_ratio(found, problem.G)
     return TransferFunction(
         numerator=numerator, denominator=denominator, delay=tau,
-        J=float(np.sum(problem.residual(x) ** 2)), std_error=problem.std_error(x),
+        J=float(np.sum(problem.residual(x) ** 2)), std_error=std_error,
         omega=problem.omega, mismatch_db=DB * difference.real, mismatch_deg=DEG * difference.imag,
         output=output, input=name,
     )  # fmt: skip
@@ -213,7 +221,12 @@ class _TransferFunctionFit:
         d = np.sqrt(self.weight)[:, None] * np.column_stack(columns)
         return np.vstack([DB * d.real, TURN * d.imag])
 
-    def solve(self) -> Array:
+    def solve(self) -> tuple[Array, bool]:
+        """The best of all starts, and whether it has settled.
+
+        One that has not counts all the same: coefficients that the measurement does not determine
+        wander off for ever where the fit no longer gets better.
+        """
         delays = DELAYS[: None if self.delay else 1] * 2 * np.pi / abs(self.s[-1])
         starts = [start for tau in delays if (start := self._start(tau)) is not None]
         starts.sort(key=lambda start: float(np.sum(self.residual(start) ** 2)))
@@ -226,14 +239,13 @@ class _TransferFunctionFit:
         for start in starts[:REFINED]:
             inside = start if not self.delay else np.append(start[:-1], max(start[-1], 1e-6))
             limits = (lower, np.inf)
-            result = fit(x0=inside, bounds=limits, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-            if result.status > 0:
-                found.append(result)
+            found.append(fit(x0=inside, bounds=limits, xtol=1e-12, ftol=1e-12, gtol=1e-12))
         if not found:
             raise ConvergenceError(
                 f"no transfer function of order {self.order} fits; try another order or band"
             )
-        return np.asarray(min(found, key=lambda result: result.cost).x)
+        best = min(found, key=lambda result: result.cost)
+        return np.asarray(best.x), best.status > 0
 
     def _start(self, tau: float) -> Array | None:
         """Sanathanan & Koerner (1963): linear least squares, reweighted by the last denominator."""
@@ -255,11 +267,37 @@ class _TransferFunctionFit:
 
     def std_error(self, x: Array) -> Array:
         """√(H⁻¹)ᵢᵢ in physical units, H = 2 JᵀJ; NaN for a delay on its bound."""
-        J = self.jacobian(x)
-        free: BoolArray = np.ones(len(x), dtype=bool)
-        free[-1] = not self.delay or x[-1] > 1e-6
+        J, free = self._free_jacobian(x)
         std = np.full(len(x), np.nan)
-        covariance = np.linalg.pinv(2 * J[:, free].T @ J[:, free])
-        std[free] = np.sqrt(np.diag(covariance))
+        std[free] = _root_of_inverse(J)
         std *= self._scale()
         return std if self.delay else np.append(std, np.nan)
+
+    def doubt(self, x: Array, *, settled: bool) -> str:
+        """What speaks against a fit, with the remedy; nothing if nothing does."""
+        (nz, n), (J, free) = self.order, self._free_jacobian(x)
+        b, a = (f"b_{i}" for i in range(nz + 1)), (f"a_{i}" for i in range(1, n + 1))
+        names = np.array([*b, *a, "the delay"][: len(x)])[free]
+        alone = 1 / (np.sqrt(2) * np.linalg.norm(J, axis=0))
+        if lost := list(names[_root_of_inverse(J) > UNTOLD * alone]):
+            return f"the measurement does not determine {', '.join(lost)}; lower the order"
+        return "" if settled else "J may still get better; lower the order, or choose another band"
+
+    def _free_jacobian(self, x: Array) -> tuple[Array, BoolArray]:
+        """Derivatives of the residuals by the unknowns off their bounds, and which these are."""
+        free: BoolArray = np.ones(len(x), dtype=bool)
+        free[-1] = not self.delay or x[-1] > 1e-6
+        return self.jacobian(x)[:, free], free
+
+
+def _root_of_inverse(J: Array) -> Array:
+    """√((2 JᵀJ)⁻¹)ᵢᵢ from the singular values of J = U S Vᵀ, which JᵀJ would square.
+
+    Infinite for unknowns with a part in a direction that moves no residual.
+    """
+    unit = np.linalg.norm(J, axis=0)
+    _, S, Vt = np.linalg.svd(J / unit, full_matrices=False)
+    lost = max(J.shape) * np.finfo(float).eps * S[0] >= S
+    square = np.sum((Vt[~lost] / S[~lost, None]) ** 2, axis=0)
+    square[(np.abs(Vt[lost]) > ROUNDING).any(axis=0)] = np.inf
+    return np.asarray(np.sqrt(square / 2) / unit)

@@ -7,7 +7,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.fit import Certificate
-from casid.free import Free
+from casid.free import Free, violated
 from casid.linear import StateSpace
 from casid.matching.certificate import Band, band_norm, peaks
 from casid.matching.comparison import Comparison, Source
@@ -175,22 +175,6 @@ def _runaway(free: Free, values: Array, guess: Array) -> str | None:
         return None
     name, value = free.names[far[0]], values[far[0]]
     return f"{name} = {value:.3g} runs away: the optimum is at infinity; bound it, or fix it"
-
-
-def violated(free: Free, values: Array) -> str | None:
-    """Say which constraint of the structure does not hold at free values; None if all do."""
-    model = free.model.with_vector(free.full(values))
-    pairs = zip(model.constraints(), free.model.constraints(), strict=True)
-    for (item, wanted), size in zip(pairs, free.constraint_sizes.tolist(), strict=True):
-        value = float(item.value)
-        slack = 1e-6 * max(size, abs(value))
-        if not float(wanted.lower) - slack <= value <= float(wanted.upper) + slack:
-            return (
-                f"constraint {item.name!r} is {value:.4g}, wanted between {wanted.lower:.4g} and "
-                f"{wanted.upper:.4g}; loosen it, or a bound that contradicts it; of a trim, make "
-                "another state or input unknown"
-            )
-    return None
 
 
 def _right_of_line(appraisal: Appraisal) -> str | None:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.free import Free
+from casid.free import Free, violated
 from casid.linear import StateSpace
-from casid.matching.appraisal import EXACT, Appraisal, appraise, doubts, response_size, violated
+from casid.matching.appraisal import EXACT, Appraisal, appraise, doubts, response_size
 from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, check_effects, descend
 from casid.matching.initial import starts

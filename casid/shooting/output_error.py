@@ -23,7 +23,7 @@ from casid.display import counted
 from casid.errors import ConvergenceError
 from casid.estimates import constraint_table, held_directions, parameter_table
 from casid.fit import AnyFit, Fit
-from casid.free import Free, free_parameters
+from casid.free import Free, free_parameters, violated
 from casid.frequency.response import FrequencyResponse
 from casid.model import Bounds, Initial, M, Model, Priors
 from casid.nlp import SolverOptions
@@ -320,7 +320,7 @@ def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | Cov
     return R
 
 
-def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
+def _verdict(outcome: Outcome, found: Precision, broken: str | None) -> tuple[bool, str]:
     """Whether this is a solution, and in words."""
     reasons = []
     if exact := _exact_outputs(outcome):
@@ -333,7 +333,7 @@ def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
         away = run_away(outcome.programme, outcome.solution.x)
         reasons.append(away or uncertainty.singular(found.undetermined))
     unsettled = f"R has not settled after {outcome.rounds} rounds; give R"
-    return verdict(outcome.solution, outcome.settled, unsettled, reasons)
+    return verdict(outcome.solution, outcome.settled, unsettled, reasons, broken)
 
 
 def _exact_outputs(outcome: Outcome) -> list[str]:
@@ -372,7 +372,7 @@ def _result(
     lam, found = precision(programme, solution.x, multipliers)
     model, ties = start.with_vector(free.full(lam)), programme.ties
     std, white = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
-    success, status = _verdict(outcome, found)
+    success, status = _verdict(outcome, found, violated(programme.free, lam))
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :] / ties
     K, Q = evaluator.held_gain(point.lam), evaluator.densities(point.lam)
     firsts = np.searchsorted(programme.record, np.arange(programme.records))

@@ -167,10 +167,18 @@ def _precision(programme: Programme, x: Array) -> Precision:
 
 
 def verdict(
-    solution: Solution, settled: bool, unsettled: str, more: Sequence[str]
+    solution: Solution,
+    settled: bool,
+    unsettled: str,
+    more: Sequence[str],
+    broken: str | None = None,
 ) -> tuple[bool, str]:
-    """Whether this is a solution, and in words; ``more`` speaks against it."""
-    reasons = [unsettled] * (not settled) if solution.success else [solution.status]
+    """Whether this is a solution, and in words; ``more`` speaks against it.
+
+    ``broken`` is what a solver that fails may have failed at: constraints that cannot hold.
+    """
+    failed = f"{solution.status}: {broken}" if broken else solution.status
+    reasons = [unsettled] * (not settled) if solution.success else [failed]
     reasons += more
     return not reasons, "; ".join(reasons) or solution.status
 
@@ -187,7 +195,7 @@ def run_away(programme: Programme, x: Array) -> str:
     return names and (
         f"initial states and the biases of {names} run away together, beyond {AWAY:.0f} times what "
         "was measured: a mode at nearly no speed makes a ramp of how the records drift. Leave "
-        "those biases out (biases=), or say how records begin (initial=)"
+        "those biases out (biases=), or say how records begin (OutputError(initial=...).fit)"
     )
 
 

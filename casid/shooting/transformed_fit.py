@@ -17,7 +17,7 @@ from casid.estimates import (
     parameter_table,
 )
 from casid.fit import AnyFit, Fit
-from casid.free import Free
+from casid.free import Free, violated
 from casid.model import M
 from casid.nlp import SolverOptions
 from casid.prediction import PredictionPlan, predict
@@ -104,7 +104,7 @@ def _fit(
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
     unsettled = f"the noise spectra have not settled after {outcome.rounds} rounds; give R"
     more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
-    success, status = verdict(solution, outcome.settled, unsettled, more)
+    success, status = verdict(solution, outcome.settled, unsettled, more, violated(free, lam))
     R = _variances(programme, solution.x)
     begun = [
         predict(model.system(), each.record, np.sqrt(R), PredictionPlan(np.inf)) for each in lines

@@ -78,8 +78,9 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
         prediction_plan(systems, pair[0], horizon, found.closed_loop)
         for pair, horizon in zip(pairs, found.horizon, strict=True)
     ]
+    scale = standard_deviations(found.measured)[1]  # as the validation weighs
     simulated = {
-        name: tuple(_simulated(fit, *pair, ahead) for pair, ahead in zip(pairs, far, strict=True))
+        name: tuple(_simulated(fit, *pair, scale, a) for pair, a in zip(pairs, far, strict=True))
         for name, fit in fits.items()
     }
     shown = replace(
@@ -96,9 +97,10 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
     return MeasuredStates(states=states, shown=shown, table=table)
 
 
-def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: PredictionPlan) -> Array:
+def _simulated(
+    fit: Fit[Any, Any], record: Record, flight: Record, scale: Array, far: PredictionPlan
+) -> Array:
     """States (N, n) as the validation had them, constant biases against the measured removed."""
-    scale = standard_deviations([record])[1]
     if isinstance(fit.model, NonlinearModel):
         places = [fit.model.states.index(name) for name in flight.outputs]
         y = predict_nonlinear(fit.model, record, scale, far).states[:, places]

@@ -10,6 +10,7 @@ from pathlib import Path
 from casid.folder import PARTIAL
 from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
 from casid.jobs.store import Done, Store
+from casid.limits import TABLE_BYTES, TEXT_BYTES, check_file
 from casid.report.content import Timing
 from casid.report.verdicts import Verdict
 from casid.studies.study import Study
@@ -107,11 +108,18 @@ def _store(study: Study) -> Store:
 
 
 def origin(study: Study) -> str:
-    """Digest of all that the files of a study are made of: records as their files have them."""
+    """Digest of all that the files of a study are made of: records as their files have them.
+
+    ValueError: one of them is gone, or no file.
+    """
     said = [getattr(study, each.name) for each in fields(study) if each.name not in APART]
     flown = [file for each in study.roles.values() for file in each.files]
     second = study.channels.second
     flown += [] if second is None else [second.beside(file) for file in flown]
+    check_file(study.path, TEXT_BYTES, "a study file")  # since it was read
+    check_file(study.model_file, TEXT_BYTES, "a model file")
+    for file in flown:
+        check_file(file, TABLE_BYTES, "a record")
     return digest(
         [source_digest(shown=True), versions()],
         [structure_digest(study.model_file), equations_digest(study.model), asdict(study.model)],

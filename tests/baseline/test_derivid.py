@@ -18,6 +18,7 @@ from casid import (
     SolverOptions,
     derivid,
     frequency_response,
+    merge_responses,
     parameter,
     response_band,
 )
@@ -340,6 +341,23 @@ def test_bad_requests_are_refused(choices, message):
 def test_what_is_no_measured_response_is_refused():
     with pytest.raises(ValueError, match="target = None, expected FrequencyResponse"):
         derivid(Roll(), None)
+
+
+def test_several_responses_are_for_the_caller_to_merge():
+    both = [response(TRUTH), response(TRUTH)]
+    with pytest.raises(ValueError, match=r"not 2; put them together with merge_responses\("):
+        derivid(Roll(), both)
+    assert "are merged" not in derivid.__doc__
+    assert derivid(Roll(), merge_responses(both), starts=1).cost < 1e-8
+
+
+def test_a_constraint_that_contradicts_bounds_is_named():
+    class Beyond(Roll):
+        def constraints(self):
+            return [Constraint("steep", self.Llat, 1e3, np.inf)]
+
+    with pytest.raises(ConvergenceError, match=r"'steep' is 50, wanted between 1000 and inf"):
+        derivid(Beyond(), response(TRUTH), starts=1)
 
 
 def test_a_response_without_coherence_is_refused():

@@ -1,11 +1,15 @@
 """Low-order equivalent systems against systems of that order."""
 
+import warnings
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from truths import uh60
 
 from casid import FrequencyResponse, frequency_response
 from casid.baseline.loes import transfer_function
+from casid.errors import DataWarning
 from casid.matching.mismatch import DEG, coherence_weight
 
 OMEGA = np.geomspace(0.3, 15.0, 20)
@@ -96,6 +100,57 @@ def test_stated_errors_scale_with_the_scatter():
     # J counts dB² and degrees² as they are: a noise of ε nepers is worth 8.7 ε in gain and 7.6 ε in
     # phase. With H = 2 JᵀJ the scatter is √2 of that times √(H⁻¹)ᵢᵢ; 60 runs know it to 10 %.
     np.testing.assert_allclose(ratio, np.sqrt(2) * 8.2 * noise, rtol=0.35)
+
+
+def lag(s):
+    return 12 / (s + 4) * np.exp(-0.08 * s)
+
+
+def exact_errors(fit, omega, coherence):
+    """√(H⁻¹)ᵢᵢ in rational arithmetic, from the definition of J and derivatives of ln G."""
+    s, (nz, n) = 1j * omega, (len(fit.numerator) - 1, len(fit.denominator) - 1)
+    columns = [s**k / np.polyval(fit.numerator, s) for k in range(nz, -1, -1)]
+    columns += [-(s**k) / np.polyval(fit.denominator, s) for k in range(n - 1, -1, -1)]
+    slopes = np.column_stack([*columns, -s])
+    weight = 20 / len(omega) * (1.58 * (1 - np.exp(-coherence))) ** 2
+    rows = np.vstack([20 / np.log(10) * slopes.real, 0.01745**0.5 * 180 / np.pi * slopes.imag])
+    rows = [[Fraction(float(entry)) for entry in row] for row in np.sqrt(weight) * rows]
+    size = range(len(rows[0]))
+    H = [[2 * sum(row[i] * row[j] for row in rows) for j in size] for i in size]
+    M = [[*H[i], *(Fraction(i == j) for j in size)] for i in size]
+    for i in size:  # Gauss and Jordan
+        M[i] = [entry / M[i][i] for entry in M[i]]
+        for k in size:
+            if k != i:
+                M[k] = [a - M[k][i] * b for a, b in zip(M[k], M[i], strict=True)]
+    return np.array([float(M[i][len(size) + i]) ** 0.5 for i in size])
+
+
+@pytest.mark.parametrize("order", [(0, 1), (0, 2)])
+def test_stated_errors_are_those_of_the_definition_where_little_is_determined_too(order):
+    # A first-order system's second pole leaves for infinity, where nothing tells it from the gain.
+    rng, omega = np.random.default_rng(0), np.geomspace(0.8, 15, 20)
+    noise = 0.02 * (rng.standard_normal(20) + 1j * rng.standard_normal(20))
+    frf = measured(lambda s: lag(s) * (1 + noise), omega=omega, coherence=0.95)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", DataWarning)
+        fit = transfer_function(frf, order)
+    assert [str(each.message) for each in told] == [
+        "transfer function of order (0, 2) for p/lat: the measurement does not determine b_0, a_1, "
+        "a_2, the delay; lower the order"
+    ] * (order == (0, 2))
+    # Rounding of 1e-16 in J is up to 1e-16 times the error's ratio of 1e11 in its inverse.
+    np.testing.assert_allclose(fit.std_error, exact_errors(fit, omega, 0.95), rtol=1e-3)
+    if order == (0, 2):
+        assert (fit.std_error[:3] > 1e6 * np.abs([*fit.numerator, *fit.denominator[1:]])).all()
+
+
+@pytest.mark.parametrize("order", [(1, 1), (0, 2), (1, 2), (1, 3), (2, 3)])
+def test_an_order_above_the_system_s_fits_as_well_as_its_own(order):
+    # Without noise its own order has J = 0, and what more there is wanders without an end.
+    with pytest.warns(DataWarning, match="lower the order"):
+        fit = transfer_function(measured(lag, omega=np.geomspace(0.8, 15, 20)), order)
+    assert fit.J < 1e-6
 
 
 def test_uh60_roll_rate_is_a_low_order_system():

@@ -214,6 +214,7 @@ def test_a_prior_that_the_records_contradict_is_told_and_one_they_bear_out_is_no
         ({"state_biases": ("r",)}, "state_biases names 'r'"),
         ({"initial": {"p": ("trim", 0.1)}}, r"write \(0.0, 0.1\)"),
         ({"initial": {"p": ("trim", 0.0)}}, "deviation above 0"),
+        ({"initial": {"p": (0.0, 1e-14)}}, "p: .* of 1e-14, .* give a deviation of 1e-12 or more"),
     ],
 )
 def test_what_is_said_to_be_known_is_checked(settings, message):

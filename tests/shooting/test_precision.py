@@ -94,6 +94,23 @@ def test_an_exactly_singular_factor_is_told_with_the_best_fit(monkeypatch):
     assert all(np.isinf(row.std_error) for row in best.parameters)
 
 
+class Beyond(Roll):
+    """A constraint that no value within the bounds keeps."""
+
+    def constraints(self):
+        return [Constraint("steep", self.Llat, 1e3, np.inf)]
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"domain": "frequency"}, {"process_noise": True}], ids=str
+)
+def test_a_constraint_that_contradicts_bounds_is_named(settings):
+    with pytest.raises(
+        ConvergenceError, match=r"'steep' is .*, wanted between 1000 and inf; .* bou"
+    ):
+        output_error(Beyond(), [noisy().between(0, 5)], bounds={"Llat": (0, 60)}, **settings)
+
+
 class Loaded(type(TRUTH)):
     """Roll with constant forces, as the response to a third input that never moves."""
 
@@ -136,7 +153,9 @@ def test_biases_that_run_away_with_initial_states_are_named():
     size = np.sqrt(np.mean(np.concatenate([noisy(1).y, noisy(2).y]) ** 2, axis=0))
     for times, told in ((99.0, False), (101.0, True)):
         away = replace(point, bias=np.array([[0.0, 0.0, 0.0], [0.0, -times * size[1], 0.0]]))
-        assert ("biases of p run away" in run_away(programme, programme.pack(away))) == told
+        said = run_away(programme, programme.pack(away))
+        assert ("biases of p run away" in said) == told
+        assert ("(OutputError(initial=...).fit)" in said) == told  # `output_error` has no initial=
 
 
 def test_information_is_that_of_least_squares_with_all_else_projected_out():

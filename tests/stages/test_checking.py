@@ -7,9 +7,21 @@ import pytest
 from truths.roll_study import Truth, write_study
 from truths.swing import Swing
 
-from casid import Record, read_records, read_study, run_study, simulate
+from casid import (
+    Model,
+    Record,
+    Rows,
+    Scalar,
+    output_error,
+    parameter,
+    read_records,
+    read_study,
+    run_study,
+    simulate,
+    validate,
+)
 from casid.prediction import PredictionPlan
-from casid.stages.checking import _simulated
+from casid.stages.checking import _compared, _simulated
 from casid.studies.study import read_flights
 
 SWEEPS = (
@@ -84,7 +96,46 @@ def test_states_of_a_nonlinear_structure_are_those_it_moved_through(far):
     both, record = simulate(Swing(), still, start), simulate(Blind(), still, start)
     off = both.select(outputs=["theta"])
     flight = Record(t, off.u, off.y + 0.3, off.inputs, off.outputs)  # a sensor's bias
-    y = _simulated(SimpleNamespace(model=Blind()), record, flight, far)
+    y = _simulated(SimpleNamespace(model=Blind()), record, flight, np.array([record.y.std()]), far)
     known = np.isfinite(y[:, 0])
     assert known[21:].all()
     np.testing.assert_allclose(y[known], flight.y[known], atol=2e-3)  # from q alone, to 1e-5 rad/s
+
+
+class Sum(Model):
+    """Two rates, of which one is measured alone and the other in their sum."""
+
+    states, inputs, outputs = ("v", "p"), ("lat",), ("both", "p")
+
+    Yv: Scalar = parameter(default=-0.3, lower=-5.0, upper=0.0, unit="1/s")
+    Lp: Scalar = parameter(default=-2.0, lower=-25.0, upper=0.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[self.Yv, 1], [0.1, self.Lp]]
+
+    def B(self) -> Rows:
+        return [[0], [5]]
+
+    def C(self) -> Rows:
+        return [[1, 1], [0, 1]]
+
+
+def test_states_are_those_of_the_outputs_beside_them_in_every_record():
+    rng, t = np.random.default_rng(3), np.arange(0, 8, 0.04)
+    flights = []
+    for size in (0.1, 1.0):  # what weighs outputs alike in one record does not in both
+        u = size * np.sign(np.sin(1.3 * t))[:, None]
+        y = Sum().system().simulate(t, u) + [0.5 / size, 0.02] * rng.standard_normal((len(t), 2))
+        y = np.column_stack([y, y[:, 0] - y[:, 1]])
+        flights.append(Record(t, u, y, ("lat",), ("both", "p", "v"), f"size {size}"))
+    records = [each.select(outputs=Sum.outputs) for each in flights]
+    models = {"fit": output_error(Sum(), records)}
+    results = {"validation": validate(models, records)}
+    task = SimpleNamespace(
+        model=Sum(), models=models, results=results, checks={"validation": flights}
+    )
+    found = _compared(None, task).shown
+    pairs = zip(results["validation"].simulated["fit"], found.simulated["fit"], strict=True)
+    for y, states in pairs:
+        v = y[:, 0] - y[:, 1]  # but for the biases
+        np.testing.assert_allclose(states[:, 0] - states.mean(), v - v.mean(), atol=1e-9)

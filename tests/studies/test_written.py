@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 
 import pytest
+from truths.roll_study import write_study
 
 from casid import read_study, run_study
 from casid.studies.keeping import Watch
@@ -18,6 +19,16 @@ def _kept(outcome):
 
 def _state(folder):
     return {file: file.stat().st_mtime_ns for file in sorted(folder.rglob("*.*"))}
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+@pytest.mark.parametrize("gone", ["*.py", "sweep.csv", "study.toml"])
+def test_a_file_that_is_gone_since_the_study_was_read_is_named(tmp_path, gone, fresh):
+    study = read_study(write_study(tmp_path))
+    lost = next(tmp_path.glob(gone))
+    lost.unlink()
+    with pytest.raises(ValueError, match=f"{lost.name}: cannot read it as .*; check the path"):
+        run_study(study, fresh=fresh)
 
 
 @pytest.mark.slow
