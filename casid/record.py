@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from casid import samples
+from casid import regridding, samples
 from casid.arrays import Array, BoolArray
 from casid.checks import checked_methods, spelling
 from casid.display import Shown, listed
@@ -178,10 +178,10 @@ class Record(Shown):
         """The same manoeuvre at equidistant instants, every ``dt`` [s].
 
         Outputs follow a cubic spline, inputs what they do between samples (`hold`); what was lost
-        stays lost. Where ``dt`` is longer than the interval by half or more, all channels pass a
-        symmetric filter first, so that nothing above the new Nyquist frequency is folded back; what
-        it gives is lost, too, where over a tenth of its weight is on lost samples. Across a gap in
-        time nothing is interpolated: the `stretches` are resampled each by itself.
+        stays lost, and between samples of a slower channel. Where ``dt`` is longer than the
+        interval by half or more, all pass a symmetric filter first, so that nothing above the new
+        Nyquist frequency is folded back; what it gives is lost, too, where over a tenth of its
+        weight is on lost samples. The `stretches` between gaps are resampled each by itself.
 
         Raises
         ------
@@ -197,7 +197,7 @@ class Record(Shown):
             )
         if len(self.gaps()):
             return self._resampled_pieces(dt)
-        t, values = samples.resampled(self.t, self._columns(), dt)
+        t, values = regridding.resampled(self.t, self._columns(), dt)
         warn_of_corners(self, dt)
         hold: Hold = "foh" if dt >= samples.SLOWER * self.dt else self.hold
         found = replace(self, t=t, u=values[:, : self.nu], y=values[:, self.nu :], hold=hold)
@@ -272,7 +272,7 @@ class Record(Shown):
         u = [samples.at_instants(t, x, mine.t, other.hold) for x in other.u.T]
         known = ~np.isnan(np.reshape(u, (other.nu, mine.N))).any(axis=0)
         mine, u = mine.take(known), [x[known] for x in u]
-        y = [samples.measured(t, x, mine.t) for x in other.y.T]
+        y = [regridding.regridded(t, x, mine.t, "smooth", mine.dt) for x in other.y.T]
         both, trim = (np.column_stack([mine.u, *u]), np.column_stack([mine.y, *y])), self.trim
         names = (*self.inputs, *other.inputs), (*self.outputs, *other.outputs)
         held: Any = {"hold": self.hold if self.nu else other.hold, "trim": {**trim, **other.trim}}
