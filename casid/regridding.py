@@ -19,6 +19,19 @@ def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> 
     return grid, np.column_stack(read)
 
 
+def joined(
+    t: Array, columns: Sequence[tuple[Array, Between]], instants: Array, dt: float, *, steps: bool
+) -> Array:
+    """Columns of another logger at a record's instants, (M, columns), ``steps`` unfiltered."""
+    read = [
+        at_instants(t, x, instants, how)
+        if steps and how == "zoh"
+        else regridded(t, x, instants, how, dt)
+        for x, how in columns
+    ]
+    return np.reshape(read, (len(columns), len(instants))).T
+
+
 def regridded(
     t: Array, x: Array, instants: Array, between: Between, dt: float, *, finer: bool = False
 ) -> Array:

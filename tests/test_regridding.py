@@ -98,3 +98,50 @@ def test_a_channel_sampled_slower_than_it_was_is_filtered_and_whole():
         slow.channel("phi")[beside], np.sin(np.pi * slow.t[beside]), atol=2e-3
     )
     assert np.isnan(slow.channel("phi")[(slow.t > 8.0) & (slow.t < 8.99)]).all()
+
+
+def amplitude(t, x, f):
+    """Of a sine of f [Hz] in samples of whole seconds, by its Fourier coefficient."""
+    return 2 * np.abs(np.mean(x * np.exp(-2j * np.pi * f * t)))
+
+
+@pytest.mark.parametrize("rate", [400, 80])
+def test_what_shakes_a_faster_logger_is_not_folded_back_by_a_join(rate):
+    # At 50 Hz 47 Hz would come back as 3 Hz, and 35 Hz as 15 Hz.
+    f, folded = (47.0, 3.0) if rate == 400 else (35.0, 15.0)
+    slow, fast = np.arange(0, 20, 0.02), np.arange(-0.5, 20.5, 1 / rate)
+    shaken = 2.0 * np.sin(2 * np.pi * f * fast)
+    az = shaken + np.sin(2 * np.pi * fast)
+    first = Record(slow, np.sin(slow)[:, None], np.cos(slow)[:, None], ("lat",), ("p",))
+    stick = np.cos(fast) + shaken
+    second = Record(fast, stick[:, None], az[:, None], ("lon",), ("az",))
+    both = first.join(second)
+    np.testing.assert_array_equal(both.t, first.t)
+    for name, kept in (("az", np.sin(2 * np.pi * slow)), ("lon", np.cos(slow))):
+        x = both.channel(name)
+        assert amplitude(slow, x, folded) < 0.05
+        np.testing.assert_allclose(x, kept, atol=0.05)
+
+
+def test_steps_of_a_faster_logger_and_an_equal_one_are_read_as_they_are():
+    rng = np.random.default_rng(2)
+    fast = np.arange(0, 20, 0.0025)
+    steps = np.repeat(rng.standard_normal(200), 40)  # which begin on instants of the record
+    slow = np.arange(0, 19.9, 0.02)
+    first = Record(slow, np.zeros((len(slow), 0)), np.cos(slow)[:, None], (), ("p",), hold="zoh")
+    second = Record(fast, steps[:, None], np.zeros((len(fast), 0)), ("lat",), (), hold="zoh")
+    np.testing.assert_array_equal(first.join(second).u[:, 0], steps[: 8 * len(slow) : 8])
+    rough = rng.standard_normal(len(slow))[:, None]
+    equal = Record(slow, np.zeros((len(slow), 0)), rough, (), ("q",))
+    np.testing.assert_allclose(first.join(equal).channel("q"), rough[:, 0], atol=1e-12)
+
+
+def test_a_slow_channel_of_a_faster_logger_stays_as_rare_as_it_was():
+    fast, slow = np.arange(0, 20, 0.0025), np.arange(0, 19.9, 0.02)
+    x = np.where(np.arange(len(fast)) % 10, np.nan, np.sin(fast))  # 40 Hz
+    first = Record(slow, np.sin(slow)[:, None], np.cos(slow)[:, None], ("lat",), ("p",))
+    second = Record(fast, np.zeros((len(fast), 0)), x[:, None], (), ("phi",))
+    phi = first.join(second).channel("phi")
+    there = np.isfinite(phi)
+    assert there.sum() == pytest.approx(0.8 * len(slow), abs=1)
+    np.testing.assert_allclose(phi[there], np.sin(slow[there]), atol=2e-3)
