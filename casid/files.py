@@ -22,6 +22,8 @@ from casid.textfile import write_text
 
 SHOWN = 40  # names of columns that a message lists
 CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
+DIGITS, EXACT = 10, 17  # of a value in a CSV file; those that are enough for every double
+CLOCK = 1e-5  # of the sampling interval: what an instant in a CSV file may be off
 HEADER_CHARACTERS = 2**17  # a longer first line is no header
 
 LARGEST, SMALLEST = 1e30, 1e-30  # magnitudes of a channel that still measure something
@@ -208,9 +210,16 @@ def write_csv(path: str | Path, record: Record) -> None:
     """Write a record as CSV, SI units; what was subtracted as trim is added back."""
     table = {"t": record.t} | record.totals()
     lines = [csv_header(table)]
-    rows = np.column_stack(list(table.values()))
-    lines += [",".join(f"{value:.10g}" for value in row) for row in rows]
+    rows, digits = np.column_stack(list(table.values())), _digits_of_time(record.t)
+    for t, *row in rows:
+        lines.append(",".join([f"{t:.{digits}g}", *(f"{value:.{DIGITS}g}" for value in row)]))
     write_text(path, "\n".join(lines) + "\n")
+
+
+def _digits_of_time(t: Array) -> int:
+    """Digits that tell instants (N,) apart to a `CLOCK` of their interval, also long after zero."""
+    least = CLOCK * float(np.diff(t).min())
+    return int(np.clip(np.ceil(np.log10(np.abs(t).max() / least)) + 1, DIGITS, EXACT))
 
 
 def csv_header(names: Iterable[str]) -> str:

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, zip_longest
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casid import samples
+from casid import regridding, samples
 from casid.arrays import Array, BoolArray
 from casid.checks import checked_methods, spelling
 from casid.display import Shown, listed
@@ -144,8 +144,7 @@ class Record(Shown):
 
     def totals(self) -> dict[str, Array]:
         """Every channel as it was measured: what was subtracted as trim is added back."""
-        names = (*self.inputs, *self.outputs)
-        return {name: self.channel(name) + self.trim.get(name, 0.0) for name in names}
+        return {n: self.channel(n) + self.trim.get(n, 0.0) for n in (*self.inputs, *self.outputs)}
 
     def total(self) -> "Record":
         """The same manoeuvre in total values: what was subtracted as trim added back.
@@ -178,16 +177,15 @@ class Record(Shown):
         """The same manoeuvre at equidistant instants, every ``dt`` [s].
 
         Outputs follow a cubic spline, inputs what they do between samples (`hold`); what was lost
-        stays lost. Where ``dt`` is longer than the interval by half or more, all channels pass a
-        symmetric filter first, so that nothing above the new Nyquist frequency is folded back; what
-        it gives is lost, too, where over a tenth of its weight is on lost samples. Across a gap in
-        time nothing is interpolated: the `stretches` are resampled each by itself.
+        stays lost, and between samples of a slower channel. Where ``dt`` is longer than the
+        interval by half or more, all pass a symmetric filter first, so that nothing above the new
+        Nyquist frequency is folded back; what it gives is lost, too, where over a tenth of its
+        weight is on lost samples. The `stretches` between gaps are resampled each by itself.
 
         Raises
         ------
         ValueError
-            No positive interval, one longer than the record, ten million samples; gaps that leave
-            no stretch of 16 samples.
+            No positive interval, one beyond the record, ten million samples; no 16 between gaps.
         """
         least = self.duration / MOST
         if not least < dt < self.duration:
@@ -197,7 +195,7 @@ class Record(Shown):
             )
         if len(self.gaps()):
             return self._resampled_pieces(dt)
-        t, values = samples.resampled(self.t, self._columns(), dt)
+        t, values = regridding.resampled(self.t, self._columns(), dt)
         warn_of_corners(self, dt)
         hold: Hold = "foh" if dt >= samples.SLOWER * self.dt else self.hold
         found = replace(self, t=t, u=values[:, : self.nu], y=values[:, self.nu :], hold=hold)
@@ -253,7 +251,8 @@ class Record(Shown):
     def join(self, other: "Record", *, clock: float = 0.0) -> "Record":
         """The record with the channels of another logger, at the instants of this one.
 
-        Outputs of a slower one are missing between its samples, inputs are filled in or left out.
+        Of one faster by half or more all but steps are filtered first, as by `resample`. Outputs of
+        a slower one are missing between its samples, inputs are filled in or left out.
 
         Parameters
         ----------
@@ -267,16 +266,17 @@ class Record(Shown):
         ValueError
             No time in common, a channel that both have.
         """
-        t = other.t + clock
-        mine = self.cut(float(t[0]), float(t[-1]))
-        u = [samples.at_instants(t, x, mine.t, other.hold) for x in other.u.T]
-        known = ~np.isnan(np.reshape(u, (other.nu, mine.N))).any(axis=0)
-        mine, u = mine.take(known), [x[known] for x in u]
-        y = [samples.measured(t, x, mine.t) for x in other.y.T]
-        both, trim = (np.column_stack([mine.u, *u]), np.column_stack([mine.y, *y])), self.trim
-        names = (*self.inputs, *other.inputs), (*self.outputs, *other.outputs)
-        held: Any = {"hold": self.hold if self.nu else other.hold, "trim": {**trim, **other.trim}}
-        found = replace(mine, u=both[0], y=both[1], inputs=names[0], outputs=names[1], **held)
+        t, hold = other.t + clock, self.hold if self.nu else other.hold
+        mine, steps = self.cut(float(t[0]), float(t[-1])), hold == other.hold == "zoh"
+        if not steps:
+            warn_of_corners(other, mine.dt)
+        x = regridding.joined(t, other._columns(), mine.t, mine.dt, steps=steps)
+        known = np.asarray(~np.isnan(x[:, : other.nu]).any(axis=1))
+        mine, x = mine.take(known), x[known]
+        u, y = np.hstack([mine.u, x[:, : other.nu]]), np.hstack([mine.y, x[:, other.nu :]])
+        inputs, outputs = self.inputs + other.inputs, self.outputs + other.outputs
+        trim = {**self.trim, **other.trim}
+        found = replace(mine, u=u, y=y, inputs=inputs, outputs=outputs, hold=hold, trim=trim)
         return with_steps_told(found, other, dict.fromkeys(other.inputs, clock))
 
     def _columns(self) -> list[tuple[Array, samples.Between]]:

@@ -12,7 +12,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import warn
-from casid.samples import SLOWER, at_instants, smoothed
+from casid.regridding import smoothed
+from casid.samples import SLOWER, at_instants
 
 MOVED = 0.02  # of an input's deviation: what steps may lose
 BENT = 0.015  # what straight lines may lose of a filtered input

@@ -27,14 +27,12 @@ SLOWER = 1.5  # intervals that are longer by this factor need a filter first
 CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
 ABRUPT = 10.0  # times the moves before and after it: a move that is a jump
 STEPS = 0.9  # of an input's moves, squared, that are jumps: it moves in steps
-MADE_UP = 0.1  # of a low-pass filter's weight on lost samples: what it gives is lost, too
 BURST = 5  # outliers that make a run, and samples from one to the next there
 TURNS = 2 * np.pi, 360.0  # whole turns of angles in radians and degrees
 WRAP = 0.8  # of a turn: a step that wrapping makes of the small one that it was
 SLOW, STEADY = 0.1, 3.0  # usual step of an angle, in turns; what it was, in usual steps
 SMALL = 0.005  # of a turn: a step that may have been, however steady the angle
 DRIFT = 0.05  # s/s: no clock runs slower or faster than another by more
-PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
 
 
 def runs(marks: BoolArray) -> NDArray[np.intp]:
@@ -199,69 +197,12 @@ def at_instants(t: Array, x: Array, instants: Array, between: Between) -> Array:
     return np.where(lost, np.nan, values)
 
 
-def measured(t: Array, x: Array, instants: Array) -> Array:
-    """A smooth channel x (N,) of instants t (N,) at others (M,) [s], as often as it was measured.
-
-    Where it was sampled more rarely it is NaN but for the instants nearest to its samples: a curve
-    between them would pass for measurements of their own.
-    """
-    values, own = at_instants(t, x, instants, "smooth"), t[~np.isnan(x)]
-    dt = float(np.median(np.diff(instants)))
-    if len(own) < 2 or np.median(np.diff(own)) < SLOWER * dt:
-        return values
-    nearest = np.searchsorted((instants[:-1] + instants[1:]) / 2, own)
-    near = np.zeros(len(instants), dtype=bool)
-    near[nearest[np.abs(instants[nearest] - own) <= 0.51 * dt]] = True
-    return np.where(near, values, np.nan)
-
-
 def moved(t: Array, x: Array, instants: Array, between: Between) -> Array:
     """`at_instants`, NaN also where the sample nearest to the instant is: no values are added."""
     # Of two equally near the later one, so that rounding does not choose.
     slack = 1e-6 * float(np.median(np.diff(t)))
     nearest = np.searchsorted((t[:-1] + t[1:]) / 2, instants + slack)
     return np.where(np.isnan(x[nearest]), np.nan, at_instants(t, x, instants, between))
-
-
-def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> tuple[Array, Array]:
-    """Instants every ``dt`` [s] and the columns there, (M,) and (M, columns)."""
-    # Where they are slower than the samples by half or more, all columns pass one filter first.
-    # NaN where more than `MADE_UP` of its weight falls on lost samples.
-    grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)
-    plain = np.array([at_instants(t, x, grid, how) for x, how in columns]).T
-    own = float(np.median(np.diff(t)))
-    if dt < SLOWER * own:
-        return grid, plain
-    # From the first sample to the last, so that nothing is made up beyond.
-    even, own = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / own) + 1, retstep=True)
-    fast = np.array([at_instants(t, x, even, how) for x, how in columns])
-    unknown = np.isnan(fast)
-    for x, gone in zip(fast, unknown, strict=True):
-        if not gone.all():
-            x[gone] = np.interp(even[gone], even[~gone], x[~gone])
-    ratio = dt / own
-    slow = [at_instants(even, x, grid, "smooth") for x in smoothed(fast.T, ratio).T]
-    # What was put in for lost samples is no measurement, nor what is mostly made of it.
-    share = scipy.ndimage.convolve1d(unknown.astype(float), np.abs(taps(ratio)), mode="constant")
-    made = [np.interp(grid, even, each) > MADE_UP for each in share]
-    return grid, np.where(np.isnan(plain) | np.array(made).T, np.nan, np.array(slow).T)
-
-
-def taps(ratio: float) -> Array:
-    """Weights of the low-pass filter of `smoothed`, (taps,), their sum one."""
-    half = int(np.ceil(8 * ratio))
-    k = np.arange(-half, half + 1)
-    weights = np.sinc(PASS * k / ratio) * np.hanning(2 * half + 3)[1:-1]
-    return np.asarray(weights / weights.sum())
-
-
-def smoothed(x: Array, ratio: float) -> Array:
-    """Equidistant columns without what an interval ``ratio`` times as long would fold back."""
-    # A symmetric filter, so that nothing is late; alike for all channels, so that responses stay.
-    weights = taps(ratio)
-    half = len(weights) // 2
-    padded = np.pad(x, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    return np.column_stack([np.convolve(column, weights, mode="valid") for column in padded.T])
 
 
 def real(record: str, letter: str, values: Any) -> Array:  # noqa: ANN401 - whatever the user has

@@ -179,6 +179,25 @@ def test_missing_samples_survive_a_round_trip(tmp_path):
     np.testing.assert_array_equal(read_csv(tmp_path / "a.csv", **CHANNELS).y, y)
 
 
+@pytest.mark.parametrize("start", [0.0, 1e5, 1e8, 1.79e9, -1.79e9])
+@pytest.mark.parametrize("dt", [0.02, 0.0005])
+def test_instants_long_after_the_clocks_zero_survive_a_round_trip(tmp_path, start, dt):
+    t = start + dt * np.arange(200)
+    record = Record(t, np.sin(t)[:, None], np.cos(t)[:, None], ("lat",), ("p",))
+    write_csv(tmp_path / "a.csv", record)
+    again = read_csv(tmp_path / "a.csv", inputs=["lat"], outputs=["p"])
+    np.testing.assert_allclose(again.t, t, rtol=0, atol=1e-5 * dt)
+    assert again.equidistant == record.equidistant
+
+
+def test_ordinary_instants_are_written_in_a_few_digits(tmp_path):
+    t = 0.02 * np.arange(1000)
+    write_csv(tmp_path / "a.csv", Record(t, 0 * t[:, None], t[:, None], ("lat",), ("p",)))
+    rows = (tmp_path / "a.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[0] for row in rows[:4]] == ["0", "0.02", "0.04", "0.06"]
+    assert max(len(row.split(",")[0]) for row in rows) == len("19.98")
+
+
 def test_inputs_of_a_slower_logger_are_filled_in_and_told(tmp_path):
     t = np.arange(0, 4, 0.05)
     ramp = np.where(np.arange(80) % 4 == 0, t, np.nan)

@@ -10,9 +10,7 @@ from casid.samples import (
     _begun,
     at_instants,
     bursts,
-    measured,
     off_rest,
-    resampled,
     resting,
     runs,
     tidied,
@@ -43,42 +41,6 @@ def test_what_was_not_measured_is_not_made_up_but_a_rare_channel_is_no_gap():
     np.testing.assert_allclose(found[[196, 240]], np.sin(T[[196, 240]]), atol=1e-12)
     assert np.isnan(at_instants(T, np.sin(T), np.array([-0.1, 10.1]), "foh")).all()
     assert np.isnan(at_instants(T, np.full(500, np.nan), T, "smooth")).all()
-
-
-def test_slower_sampling_keeps_what_it_can_hold_and_folds_nothing_back():
-    # New Nyquist frequency 31 rad/s: 5 rad/s stays, 60 rad/s would come back as 2.8 rad/s.
-    slow, fast = np.sin(5 * T), np.sin(60 * T)
-    t, y = resampled(T, [(slow, "smooth"), (fast, "smooth")], 0.1)
-    np.testing.assert_allclose(np.diff(t), 0.1)
-    inside = slice(10, -10)
-    np.testing.assert_allclose(y[inside, 0], np.sin(5 * t[inside]), atol=1e-3)
-    assert np.abs(y[inside, 1]).max() < 0.01
-
-
-@pytest.mark.parametrize("dt", [0.04, 0.05, 0.1])
-def test_slower_sampling_makes_nothing_up_beside_lost_samples(dt):
-    wave, lost = np.sin(5 * T), (T > 4.0) & (T < 5.0)
-    t, y = resampled(T, [(np.where(lost, np.nan, wave), "smooth")], dt)
-    there = ~np.isnan(y[:, 0])
-    assert not there[(t > 4.0) & (t < 5.0)].any()
-    assert there[(t < 4.0 - 2.1 * dt) | (t > 5.0 + 2.1 * dt)].all()
-    there &= (t > 1.0) & (t < 9.0)
-    # A tenth of the filter's weight, on a straight line that is a few per cent off nearby.
-    np.testing.assert_allclose(y[there, 0], np.sin(5 * t[there]), atol=0.01)
-
-
-@pytest.mark.parametrize("N", range(401, 406))
-@pytest.mark.parametrize("jitter", [1e-6, 2e-4])
-def test_stamps_that_jitter_cost_slower_sampling_no_instant(N, jitter):
-    rng = np.random.default_rng(N)
-    t = 0.005 * np.arange(N) + jitter * rng.uniform(-1, 1, N)
-    wave = np.sin(5 * t)
-    grid, y = resampled(t, [(wave, "foh"), (wave, "smooth"), (t, "smooth")], 0.01)
-    assert t[-1] - grid[-1] < 0.01 + 1e-6
-    assert np.isfinite(y).all()
-    np.testing.assert_allclose(y[:, 2], grid, atol=1e-9)  # a line goes on to the last instant
-    for column in y[:, :2].T:
-        np.testing.assert_allclose(column[20:-20], np.sin(5 * grid[20:-20]), atol=2e-3)
 
 
 def test_the_usual_interval_is_the_median_unless_sampling_is_irregular():
@@ -146,21 +108,6 @@ def test_a_channel_that_drops_out_to_zero_beside_a_turn_is_no_angle():
         with nullcontext() if not goes_on else pytest.warns(DataWarning, match="course jumps"):
             y = tidied("turn", T, T[:, None], turned[:, None], (name,))[2]
         assert np.array_equal(y[:, 0], turned) is not goes_on
-
-
-def test_a_slower_channel_is_measured_as_often_as_it_was():
-    rng = np.random.default_rng(4)
-    fast = 0.01 * np.arange(400)
-    own = 0.123 + 0.04 * np.arange(80) + 1e-4 * rng.uniform(size=80)
-    x = np.sin(own)
-    x[30] = np.nan
-    found = measured(own, x, fast)
-    seen = np.isfinite(found)
-    assert seen.sum() == 79 - 1  # the spline has nothing beyond the first and last sample
-    nearest = np.abs(fast[seen][:, None] - own).min(axis=1)
-    assert nearest.max() < 0.0051
-    np.testing.assert_allclose(found[seen], np.sin(fast[seen]), atol=1e-6)
-    assert np.isfinite(measured(own, np.sin(own), fast[::4])[5:80]).all()  # alike: nothing is lost
 
 
 def test_runs_are_what_follows_closely_and_single_ones_are_none():

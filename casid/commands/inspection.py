@@ -133,7 +133,7 @@ def inspect_records(
     time : str
         Name of the time column.
     stated : collection of str
-        Columns whose unit was stated when they were read; the others are doubted.
+        Columns whose unit was stated when they were read, or that by column; others are doubted.
 
     Raises
     ------
@@ -285,8 +285,7 @@ def unit_advice(records: Sequence[Record], time: str, stated: Collection[str]) -
     said: dict[str, str] = {}
     for record in records:
         for doubt in unit_doubts(record, time, stated):
-            likely, taken = doubt.units
-            asked = f"is it in {likely}? State its unit, {likely} or {taken}"
+            asked = f"is it in {doubt.units[0]}? State its unit, {doubt.asked()}"
             said.setdefault(doubt.channel, f"{record.name}: {doubt.said}; {asked}")
     return list(said.values())
 

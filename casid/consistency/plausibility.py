@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.channels import CONTROLS, RATES
+from casid.channels import CONTROLS, MEASURES, RATES
 from casid.record import Record
 from casid.records import still
 
 FEWEST = 16  # samples of a record
-SLOW = 1.0  # sampling interval [s] no manoeuvre of a rotorcraft is recorded with
+USUAL, SLOW, NEVER = 0.02, 1.0, 10.0  # sampling intervals [s]: of most, of hardly any, of no flight
+TIMES = ("ms", "us", "ns")  # units that clocks count in
 FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 6 * np.pi}  # rad: three turns
 TUMBLING = 6.0  # rad/s, a full turn a second
 PULSES = (700.0, 2300.0)  # µs, between which the pulses of a servo stay
@@ -25,17 +26,35 @@ class Doubt:
     channel: str
     said: str
     units: tuple[str, str]  # the likelier, the one it was taken for
+    sure: bool = False  # it is not what it was taken for, whoever stated it
+
+    def asked(self) -> str:
+        """The units that may be stated, the likelier first."""
+        return self.units[0] if self.sure else " or ".join(self.units)
 
 
 def unit_doubts(record: Record, time: str = "t", stated: Collection[str] = ()) -> list[Doubt]:
-    """Doubts about time, angles, rates and sticks of a record, columns of ``stated`` unit apart."""
-    return [doubt for doubt in _doubts(record, time) if doubt.channel not in stated]
+    """Doubts about time, angles, rates and sticks of a record, columns of ``stated`` unit apart.
+
+    Time that no unit makes a flight's is doubted all the same where ``stated`` says its unit.
+    """
+    known = isinstance(stated, Mapping)
+    found = _doubts(record, time, stated.get(time, "s") if isinstance(stated, Mapping) else "s")
+    return [each for each in found if each.channel not in stated or (each.sure and known)]
 
 
-def _doubts(record: Record, time: str) -> Iterator[Doubt]:
+def _unit_of_time(interval: float, taken: str) -> str:
+    """The unit other than that taken with which an interval [s] is nearest to a usual one."""
+    factors = MEASURES["s"]
+    off = {u: abs(np.log(interval * factors[u] / (factors[taken] * USUAL))) for u in TIMES}
+    return min((unit for unit in TIMES if unit != taken), key=lambda unit: off[unit])
+
+
+def _doubts(record: Record, time: str, unit: str) -> Iterator[Doubt]:
     if record.dt >= SLOW:
         said = f"the time column {time!r} advances {record.dt:g} s a sample"
-        yield Doubt(channel=time, said=said, units=("ms", "s"))
+        units = _unit_of_time(record.dt, unit), unit
+        yield Doubt(channel=time, said=said, units=units, sure=record.dt >= NEVER)
     for name in (*record.inputs, *record.outputs):
         values = record.channel(name) + record.trim.get(name, 0.0)
         largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
@@ -65,8 +84,8 @@ def check_plausible(
     like a throttle, then teaches something if it does so elsewhere in another.
 
     ValueError: a sampling interval of a second or more, or angles and rates too large for radians,
-    whose unit nobody stated; a record of a few samples; a channel constant in all of
-    ``identification``.
+    whose unit nobody stated; an interval of ten seconds or more; a record of a few samples; a
+    channel constant in all of ``identification``.
     """
     for record in records:
         for doubt in unit_doubts(record, time, units):
@@ -74,7 +93,8 @@ def check_plausible(
                 likely, taken = doubt.units
                 raise ValueError(
                     f"record {record.name!r}: {doubt.said}; is it in {likely}? State its unit: "
-                    f'[channels.units] {doubt.channel} = "{likely}", or "{taken}"'
+                    f'[channels.units] {doubt.channel} = "{likely}"'
+                    + (f', or "{taken}"' if not doubt.sure else "")
                 )
         if record.N < FEWEST:
             raise ValueError(

@@ -22,7 +22,7 @@ def flight(scale=1.0, dt=0.02, travel=0.1):
     [
         (flight(scale=100.0), "p", ("deg/s", "rad/s")),
         (flight(scale=100.0), "phi", ("deg", "rad")),
-        (flight(dt=20.0), "t", ("ms", "s")),
+        (flight(dt=2.0), "t", ("ms", "s")),
         (flight(travel=30.0), "lat", ("%", "1")),
     ],
 )
@@ -31,6 +31,35 @@ def test_a_channel_that_cannot_be_in_its_unit_is_doubted_until_it_is_stated(reco
     assert doubts[channel] == units
     assert channel not in {doubt.channel for doubt in unit_doubts(record, stated=[channel])}
     assert not unit_doubts(flight())
+
+
+@pytest.mark.parametrize("rate", [4, 20, 50, 400])
+@pytest.mark.parametrize(("unit", "counts"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_the_unit_proposed_for_time_is_that_in_which_it_was_counted(rate, unit, counts):
+    count = 1.79e9 * counts + np.round(counts / rate * np.arange(100))  # since 1970
+    for taken, worth in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if worth * counts / rate < (1.0 if taken == "s" else 10.0):
+            continue  # it passes for the interval of a flight, or for what somebody means
+        record = replace(flight(), t=worth * count)
+        (doubt,) = unit_doubts(record, stated={} if taken == "s" else {"t": taken})
+        assert doubt.units == (unit, taken)
+        with pytest.raises(ValueError, match=rf'is it in {unit}\? .* t = "{unit}"'):
+            check_plausible([flight()], [record], {} if taken == "s" else {"t": taken})
+
+
+@pytest.mark.parametrize("taken", ["s", "ms", "us"])
+def test_no_unit_that_is_stated_makes_ten_seconds_a_flights_interval(taken):
+    good, slow, hardly = flight(), flight(dt=2.0), flight(dt=20.0)
+    check_plausible([good], [slow], {"t": taken})
+    with pytest.raises(ValueError, match=r"advances 20 s a sample; is it in (\w+)\?.* t = .\1.$"):
+        check_plausible([good], [hardly], {"t": taken})
+
+
+def test_a_heading_passes_for_radians_up_to_three_turns():
+    for turns, doubted in ((2.9, False), (3.1, True)):
+        psi = 2 * np.pi * turns * np.sin(T / T[-1])[:, None] / np.sin(1.0)
+        record = Record(T, np.sin(T)[:, None], psi, ("ped",), ("psi",))
+        assert bool(unit_doubts(record)) is doubted
 
 
 def test_a_stick_in_pulses_of_a_servo_is_taken_for_that():
