@@ -166,19 +166,18 @@ def _beyond(excess: float, error: float) -> str:
 def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:
     """The candidates that the records allow."""
     table = task.settings.get
-    records, short = _records(task)
+    _, short = _records(task)
     own: OutputError = table("output_error", OutputError())
     lined = OutputError(priors=own.priors, responses=own.responses, domain="frequency")
     match: Match = table("match", Match())
-    kinds = {each.name for each in task.roles.get("frequency", ())} - set(short)
     found: dict[str, LastStep] = {}
-    step = _decimation(task)
-    if kinds & {each.name for each in records}:
+    step, names = _decimation(task), possible(task)
+    if "joint" in names:
         analysis = table("frequency", SpectralAnalysis())
         found["joint"] = LastStep(estimator=own, histories=short, responses=analysis, decimate=step)
     found["frequency"] = LastStep(estimator=lined, decimate=step)
     found["time"] = LastStep(estimator=own, decimate=step)
-    if len(short) < len(records):
+    if "short" in names:
         found["short"] = LastStep(estimator=own, histories=short, decimate=step)
     quadratic = replace(match, norm="quadratic")
     box: Pbsid = table("pbsid", Pbsid())
@@ -188,19 +187,28 @@ def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:
     return {name: found[name] for name in settings.candidates if name in found}
 
 
+def possible(task: Task) -> list[StepName]:
+    """Names of the candidates that the records, or their files, allow."""
+    records, short = _records(task)
+    sweeps = {each.name for each in task.roles.get("frequency", ())} - set(short)
+    joint = bool(sweeps & {each.name for each in records})
+    lacking = {"joint": not joint, "short": len(short) == len(records)}
+    return [name for name in WORDS if not lacking.get(name)]
+
+
 def _check(settings: Choosing, task: Task) -> None:
     if (count := len(task.roles.get("identification", ()))) < FEWEST:
         raise ValueError(
             f"[choice]: each manoeuvre is left out in turn, which takes {FEWEST} records of "
             f"identification or more, here are {count}; add some, or leave the table out"
         )
-    possible = last_steps(Choosing(), task)
+    allowed = possible(task)
     if settings.candidates != Choosing().candidates:  # which are all that there may be
         for name in settings.candidates:
-            if name not in possible:
+            if name not in allowed:
                 raise ValueError(
                     f"[choice] candidates: {name!r} takes {NEEDS[name]}, which these roles do not "
-                    f"have; there are {', '.join(possible)}"
+                    f"have; there are {', '.join(allowed)}"
                 )
 
 

@@ -1,6 +1,7 @@
 """The choice of the last step by prediction."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,12 +20,14 @@ from casid.bounds.manoeuvres import StructureComparison
 from casid.stages.choice import (
     CHOICE,
     CHOSEN,
+    WORDS,
     Choosing,
     LastStep,
     StepChoice,
     chosen,
     groups,
     last_steps,
+    possible,
 )
 from casid.stages.stage import Task
 from casid.values import decode, encode
@@ -156,6 +159,13 @@ def test_two_manoeuvres_are_refused_before_anything_is_estimated():
 
 
 def test_a_candidate_by_name_that_the_records_do_not_allow_is_refused():
+    files = {
+        role: tuple(Path(f"{each.name}.csv") for each in own)
+        for role, own in task(refinement=SHORT, frequency=RECORDS[3:]).roles.items()
+    }
+    assert possible(replace(task(), roles=files)) == list(WORDS)  # before they are read
+    del files["refinement"]
+    assert possible(replace(task(), roles=files)) == ["frequency", "time", "quadratic"]
     whole = task(refinement=SHORT, frequency=RECORDS[3:])
     for asked, without, needs in (
         (("short", "quadratic"), task(), "'short' takes records of refinement that are some"),
