@@ -9,13 +9,12 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
-from casid.consistency.measured import white_noise
+from casid.consistency.measured import strays, white_noise
 from casid.consistency.plausibility import unit_doubts
 from casid.display import Shown, counted, in_a_row, listed
 from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
-from casid.outlying import outliers
 from casid.record import REST, Record
 from casid.records import Records, same_channels, several, steps_told
 from casid.repetition import least_step, repeated, source_interval
@@ -142,7 +141,7 @@ def inspect_records(
     """
     records = several(records)
     inputs, outputs = same_channels(records)
-    marks = [outliers(record) for record in records]
+    marks = [strays(record) for record in records]
     facts = tuple(_facts(*each) for each in zip(records, marks, strict=True))
     # What no instrument measured says nothing about units, kinematics and excitation.
     records = tuple(record.mask(where) for record, where in zip(records, marks, strict=True))

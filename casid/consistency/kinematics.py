@@ -18,13 +18,19 @@ from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
 from casid.consistency.further import against_gravity, misplaced, turned, unexplained
 from casid.consistency.lags import clocks_apart
-from casid.consistency.measured import Flight, coarse_step, looked_at, measured_parts, signals
+from casid.consistency.measured import (
+    Flight,
+    coarse_step,
+    looked_at,
+    measured_parts,
+    signals,
+    strays,
+)
 from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY
 from casid.consistency.signs import set_upright
 from casid.consistency.voting import mean, significant
 from casid.display import Shown, counted, in_a_row, listed
-from casid.outlying import outliers
 from casid.record import Record
 from casid.records import Records, several
 from casid.samples import bursts
@@ -154,7 +160,7 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     flown = several(records)
     stretches = looked_at(flown)
     which, whole = [k for k, _ in stretches], [piece for _, piece in stretches]
-    marks = [outliers(piece) for piece in whole]
+    marks = [strays(piece) for piece in whole]
     pieces = [piece.mask(where) for piece, where in zip(whole, marks, strict=True)]
     flights = [
         signals(each, trim or {}, k, float(each.t[0] - flown[k].t[0]))

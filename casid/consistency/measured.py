@@ -10,9 +10,9 @@ from casid.arrays import Array, BoolArray
 from casid.autoregression import filled, slow
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.frequency.sampling import equidistant
-from casid.outlying import FAR
+from casid.outlying import FAR, outliers
 from casid.record import Record
-from casid.repetition import least_step
+from casid.repetition import least_step, repeated
 from casid.samples import BURST, MAD, at_instants, runs
 
 MOST = 60_000  # samples that are looked at
@@ -63,6 +63,20 @@ class Flight:
     def only(self, names: Collection[str]) -> "Flight":
         """The same flight with some of its channels, in the order they have."""
         return replace(self, values={k: x for k, x in self.values.items() if k in names})
+
+
+def strays(record: Record) -> BoolArray:
+    """Outliers (N, ny); samples repeated of a slower source are such where what they repeat is.
+
+    A channel that is held moves in steps, which nothing around bears out.
+    """
+    held = repeated(record)[:, record.nu :]
+    if not held.any():
+        return outliers(record)
+    found = outliers(record.mask(held))
+    rows = np.arange(record.N)[:, None]
+    source = np.maximum.accumulate(np.where(held | np.isnan(record.y), 0, rows), axis=0)
+    return np.where(held, np.take_along_axis(found, source, axis=0), found)
 
 
 def coarse_step(flights: Sequence[Flight], name: str) -> float:

@@ -17,6 +17,8 @@ from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
 
+DATED = ("M", "m")  # kinds of columns: dates, time deltas
+
 # pandas and python-control have no types of their own that mypy could use.
 
 
@@ -150,7 +152,8 @@ def from_dataframe(
     Parameters
     ----------
     frame : pandas.DataFrame
-        Channels in columns; time is the column ``time``, or else the index in s (or a time delta).
+        Channels in columns; time is the column ``time``, or else the index: in s, a time delta, or
+        dates, which count from the first.
     inputs, outputs, hold, name
         As in `read_csv`; from the ``attrs`` that `to_dataframe` leaves, unless given.
     time, units, detrend
@@ -159,7 +162,8 @@ def from_dataframe(
     Raises
     ------
     ValueError
-        A column that is missing or holds no numbers, and all that `Record` refuses.
+        A column that is missing or holds no numbers, a unit of dates, and all that `Record`
+        refuses.
     """
     kept = dict(frame.attrs)
     inputs = kept.get("inputs", ()) if inputs is None else inputs
@@ -169,20 +173,36 @@ def from_dataframe(
             "which columns are inputs and which outputs? The frame does not say: name both; it has "
             + ", ".join(map(str, frame.columns))
         )
-    if time not in frame.columns and isinstance(time, str):
-        index = frame.index
-        index = index.total_seconds() if hasattr(index, "total_seconds") else index
-        frame = frame.assign(**{time: np.asarray(index, dtype=float)})
+    if isinstance(time, str):
+        frame = _with_seconds(frame, time, units or {})
     name = str(kept.get("name", "") if name is None else name)
     record = build(partial(_column, frame), inputs, outputs, time, units, name)
     trim = {each: float(value) for each, value in dict(kept.get("trim", {})).items()}
     return replace(record, hold=hold or kept.get("hold", "foh"), trim=trim).detrend(detrend)
 
 
+def _with_seconds(frame: Any, time: str, units: Mapping[str, str]) -> Any:  # noqa: ANN401
+    """The frame with its time, a column or else the index, in numbers: dates from the first [s]."""
+    given = frame[time] if time in frame.columns else frame.index.to_series()
+    kind = getattr(given.dtypes, "kind", "")
+    if kind not in DATED and time in frame.columns:
+        return frame
+    if kind in DATED and time in units:
+        raise ValueError(
+            f"time {time!r} holds dates or time deltas, which are no {units[time]}: leave its unit "
+            "out"
+        )
+    since = given - given.min() if kind == "M" else given
+    seconds = since.dt.total_seconds() if kind in DATED else given
+    return frame.assign(**{time: seconds.to_numpy()})
+
+
 def _column(frame: Any, name: str) -> Array:  # noqa: ANN401
     if name not in frame.columns:
         known = ", ".join(map(str, frame.columns))
         raise ValueError(f"the frame has no column {name!r}; it has {known}")
+    if getattr(frame[name].dtypes, "kind", "") in DATED:  # which would be counted in nanoseconds
+        raise ValueError(f"column {name!r} holds dates or time deltas, expected numbers")
     try:
         return np.asarray(frame[name].to_numpy(dtype=float, na_value=np.nan))
     except (TypeError, ValueError) as error:

@@ -1,11 +1,13 @@
 """Signals of a flight and their noise, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.flights import NOISE, RATES, flight
 
 from casid.consistency.kinematics import kinematic_check
-from casid.consistency.measured import Flight, coarse_step, looked_at, signals, white_noise
+from casid.consistency.measured import Flight, coarse_step, looked_at, signals, strays, white_noise
 
 
 def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
@@ -91,3 +93,27 @@ def test_steps_are_coarse_that_noise_does_not_blur_and_that_movement_does_not_hi
     x = 4 * np.sin(0.7 * t) + noise * rng.standard_normal(2000)
     flight = Flight(0.02, 0, {"phi": step * np.round(x / step)})
     assert coarse_step([flight], "phi") == (pytest.approx(step) if coarse else 0.0)
+
+
+def held(record, every, names):
+    """The record with channels of a source that is slower by a factor, each sample repeated."""
+    y, last = record.y.copy(), np.arange(record.N) // every * every
+    columns = [record.outputs.index(name) for name in names]
+    y[:, columns] = y[last][:, columns]
+    return replace(record, y=y)
+
+
+@pytest.mark.parametrize("every", [5, 10])
+def test_steps_of_a_held_channel_are_no_outliers_and_an_outlier_is_one_as_long_as_it_is_held(every):
+    sound = held(flight(0, None, NOISE).cut(0.0, 18.0), every, ("phi", "theta", "psi"))
+    assert not strays(sound).any()
+    phi, p = (sound.outputs.index(name) for name in ("phi", "p"))
+    start = 60 * every
+    y = sound.y.copy()
+    y[start : start + every, phi] += 0.5
+    y[100, p] += 1.0
+    y[start + 2, phi] = np.nan
+    wanted = np.zeros(y.shape, dtype=bool)
+    wanted[start : start + every, phi] = wanted[100, p] = True
+    wanted[start + 2, phi] = False
+    np.testing.assert_array_equal(strays(replace(sound, y=y)), wanted)

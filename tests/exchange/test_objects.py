@@ -84,6 +84,38 @@ def test_a_dataframe_gives_the_record_back(record):
     assert back.name == "a flight"
 
 
+SINCE = np.datetime64("2026-03-01T12:00:00")
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "ms"])
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize(
+    "dated",
+    [
+        lambda steps: pd.Series(SINCE + steps),
+        lambda steps: pd.Series(SINCE + steps).dt.tz_localize("Europe/Berlin"),
+        pd.Series,
+    ],
+    ids=["dates", "of a zone", "time deltas"],
+)
+def test_dates_and_time_deltas_of_a_frame_are_read_as_seconds(record, unit, indexed, dated):
+    ticks = np.arange(record.N) * (20 * int(1e-3 / {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]))
+    time = dated(ticks.astype(f"m8[{unit}]"))
+    frame = to_dataframe(record).reset_index(drop=True)
+    frame = frame.set_index(pd.Index(time)) if indexed else frame.assign(t=time)
+    found = from_dataframe(frame, inputs=["lat"], outputs=["p"])
+    np.testing.assert_allclose(found.t, 0.02 * np.arange(record.N), rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match="time 't' holds dates or time deltas, which are no ms"):
+        from_dataframe(frame, inputs=["lat"], outputs=["p"], units={"t": "ms"})
+
+
+def test_a_channel_of_dates_is_refused(record):
+    frame = to_dataframe(record)
+    frame["p"] = SINCE + np.arange(record.N).astype("m8[s]")
+    with pytest.raises(ValueError, match="'p' holds dates or time deltas, expected numbers"):
+        from_dataframe(frame, inputs=["lat"], outputs=["p"])
+
+
 def test_a_foreign_frame_needs_names_and_takes_units(record):
     frame = to_dataframe(record).reset_index()
     frame.attrs = {}
