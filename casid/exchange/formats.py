@@ -16,7 +16,7 @@ from casid.channels import UNITS, factor_of
 from casid.checks import optional
 from casid.display import counted, listed
 from casid.errors import warn
-from casid.exchange.objects import from_dataframe, to_dataframe
+from casid.exchange.objects import from_dataframe, in_seconds, to_dataframe
 from casid.fit import AnyFit
 from casid.folder import replacing
 from casid.frequency.response import FrequencyResponse
@@ -106,6 +106,8 @@ def write_mat(path: str | Path, record: Record, *, version: MatVersion = "5") ->
 def read_table(path: str | Path) -> dict[str, Array]:
     """All columns of a CSV or Parquet file, all vectors of one length of a MATLAB file.
 
+    Dates of a Parquet file count from the first, in seconds.
+
     Raises
     ------
     ValueError
@@ -121,7 +123,9 @@ def read_table(path: str | Path) -> dict[str, Array]:
     if suffix == ".parquet":
         frame = _parquet(path)
         frame = frame.reset_index() if frame.index.name else frame
-        table = {str(name): _numbers(frame[name], path, str(name)) for name in frame.columns}
+        table = {
+            str(name): _numbers(in_seconds(frame[name]), path, str(name)) for name in frame.columns
+        }
     else:
         table = _vectors(path)
     files.check_printable(path, table)

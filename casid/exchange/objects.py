@@ -192,9 +192,14 @@ def _with_seconds(frame: Any, time: str, units: Mapping[str, str]) -> Any:  # no
             f"time {time!r} holds dates or time deltas, which are no {units[time]}: leave its unit "
             "out"
         )
-    since = given - given.min() if kind == "M" else given
-    seconds = since.dt.total_seconds() if kind in DATED else given
-    return frame.assign(**{time: seconds.to_numpy()})
+    return frame.assign(**{time: in_seconds(given).to_numpy()})
+
+
+def in_seconds(column: Any) -> Any:  # noqa: ANN401
+    """A pandas Series of time deltas [s] or dates, from the first [s], in numbers; or as it is."""
+    kind = getattr(column.dtypes, "kind", "")
+    since = column - column.min() if kind == "M" else column
+    return since.dt.total_seconds() if kind in DATED else column
 
 
 def _column(frame: Any, name: str) -> Array:  # noqa: ANN401

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.io
 import scipy.linalg
@@ -38,6 +39,19 @@ OMEGA = np.geomspace(0.1, 20, 15)
 def test_parquet_gives_the_record_back(record, tmp_path):
     write_parquet(tmp_path / "flight.parquet", record)
     same(read_parquet(tmp_path / "flight.parquet"), record)
+
+
+@pytest.mark.parametrize("since", [np.datetime64("2026-03-01T12:00:00"), np.timedelta64(3, "s")])
+@pytest.mark.parametrize("indexed", [True, False])
+def test_dates_of_a_parquet_file_are_read_as_seconds(tmp_path, since, indexed):
+    times = since + (20 * np.arange(50)).astype("m8[ms]")
+    frame = pd.DataFrame({"t": times, "lat": np.arange(50.0), "p": np.ones(50)})
+    frame = frame.set_index("t") if indexed else frame
+    frame.to_parquet(tmp_path / "a.parquet")
+    wanted = 0.02 * np.arange(50) + (3.0 if since.dtype.kind == "m" else 0.0)
+    read = read_parquet(tmp_path / "a.parquet", inputs=["lat"], outputs=["p"]).t
+    for found in (read_table(tmp_path / "a.parquet")["t"], read):
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
 
 
 def test_a_small_file_of_many_numbers_is_refused_before_they_are_read(tmp_path, monkeypatch):
