@@ -47,7 +47,7 @@ def at_bounds(free: Free, values: Array, felt: Array | None = None) -> BoolArray
     gap = np.minimum(values - lower, upper - values)
     near = gap <= ACTIVE * scale
     if felt is not None:
-        near &= (gap <= 0) | ~(gap > FELT * felt)
+        near &= ~(gap > FELT * felt)
     return np.asarray(near)
 
 

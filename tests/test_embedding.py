@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache, partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from casid import (
     response_band,
     structure_error,
 )
-from casid.embedding import missed_quantile, missed_square
+from casid.embedding import _evidence, missed_quantile, missed_square
 
 OMEGA = np.geomspace(1.1, 8.0, 24)
 
@@ -89,6 +90,15 @@ def test_what_noise_may_hide_is_no_less_than_is_likely_where_something_is_missed
     expected = (1 - sure) * np.maximum(difference, 0) + sure * above
     found = missed_square(difference, deviation, sure)
     np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("z", [-3.0, 0.0, 2.0, 6.0])
+def test_evidence_is_of_all_pairs_together_and_two_deviations_are_undecided(z):
+    # One frequency, four pairs of independent errors: squares less noise scatter by one each.
+    F = np.eye(4).reshape(1, 2, 2, 4)
+    target = SimpleNamespace(F=F, allowed=np.zeros((1, 2, 2)), variance=np.ones((1, 2, 2)))
+    left = np.full((1, 2, 2), z / 2)  # z of their sum over its deviation of two
+    assert _evidence(left, target) == pytest.approx(scipy.special.ndtr(z - 2))
 
 
 def test_a_structure_is_known_to_miss_something_only_where_it_does():

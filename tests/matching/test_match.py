@@ -4,6 +4,7 @@ import scipy.optimize
 from truths.structures import ACTUATOR, SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import (
+    Constraint,
     ConvergenceError,
     Match,
     Model,
@@ -127,6 +128,22 @@ def test_multiplier_is_the_price_of_the_bound():
     assert fit["a"].multiplier < 0
     # Central differences of a smooth optimum: error of the order of the step, plus IPOPT's 1e-8.
     assert fit["a"].multiplier == pytest.approx(slope, rel=1e-2)
+
+
+@pytest.mark.parametrize("norm", ["quadratic", "hinf"])
+@pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
+def test_a_constraint_has_the_price_of_the_bound_it_stands_for_in_whatever_unit(norm, unit):
+    class Limited(Lag):
+        def constraints(self):
+            return (Constraint("most", unit * self.a, lower=-np.inf, upper=0.7 * unit),)
+
+    kept = {"norm": norm, "omega": np.geomspace(0.1, 10.0, 200), "weight": "size"}
+    bound = match(Lag(), black_box(SECOND), bounds={"a": (0.1, 0.7)}, **kept)
+    fit = match(Limited(a=0.5), black_box(SECOND), **kept)
+    (row,) = fit.constraints
+    assert (row.active, fit.held) == (True, 1)
+    assert row.multiplier * unit == pytest.approx(bound["a"].multiplier, rel=1e-3)
+    assert fit["a"].value == pytest.approx(0.7, rel=1e-6)
 
 
 def test_channels_are_found_by_name():
