@@ -7,7 +7,7 @@ import pytest
 from truths import closed_roll, uh60
 
 from casid import Record, outliers, read_csv
-from casid.outlying import _between
+from casid.outlying import _between, _no_value
 
 NOISE = {"ay": 0.05, "p": 0.004, "phi": 0.01}  # m/s^2, rad/s, rad
 
@@ -178,6 +178,14 @@ def test_a_run_at_an_end_of_the_record_is_found_whole(kind, length, last):
     found = outliers(spoilt)
     assert (found & there).sum() >= there.sum() - 1  # one may lie where it is expected
     assert not (found & ~there).any()
+
+
+def test_one_sample_alone_stands_for_no_value():
+    x = np.sin(0.1 * np.arange(300))
+    x[[40, 41]] = 99.0
+    assert np.flatnonzero(_no_value(x)).tolist() == [40, 41]
+    x[41] = 98.0
+    assert not _no_value(x).any()
 
 
 @pytest.mark.parametrize("at", [418, 462])

@@ -97,8 +97,9 @@ def test_noise_outliers_and_steps_are_no_angles():
 
 def test_a_channel_that_drops_out_to_zero_beside_a_turn_is_no_angle():
     rng = np.random.default_rng(2)
-    speed = 6.05 + 0.08 * rng.standard_normal(500)
-    speed[200:240] = 0.0
+    speed = np.clip(5.98 + 0.1 * rng.standard_normal(500), 5.7, 6.25)
+    speed[200:240], speed[[199, 240]] = 0.0, 6.15
+    assert unwrapped(speed + np.where(speed == 0, 0.01 * rng.uniform(size=500), 0)) is not None
     assert unwrapped(speed) is None
     heading = np.round(np.linspace(350.0, 370.0, 500) + np.sin(40 * T)) % 360.0  # whole degrees
     assert np.ptp(unwrapped(heading)) < 30
