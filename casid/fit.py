@@ -314,7 +314,11 @@ def _check_agreement(fit: AnyFit, place: str | Path) -> None:
     wrong = ""
     if tuple(row.name for row in fit.parameters) != names:
         wrong = f"the table has {', '.join(row.name for row in fit.parameters)}, not {names}"
-    elif apart := [row.name for row in fit.parameters if getattr(fit.model, row.name) != row.value]:
+    elif apart := [
+        row.name
+        for row in fit.parameters
+        if not np.array_equal(getattr(fit.model, row.name), row.value, equal_nan=True)
+    ]:
         wrong = f"{apart[0]} is {fit[apart[0]].value} in the table and not in the model"
     elif not set(free) <= set(names):
         wrong = f"{', '.join(free)} are not all parameters"

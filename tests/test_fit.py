@@ -198,6 +198,13 @@ def test_a_file_edited_by_hand_is_refused_where_it_contradicts_itself(damage, sa
         Fit.load(file, model=Lag)
 
 
+def test_an_iterate_that_ran_out_of_numbers_reads_back(tmp_path):
+    lost = replace(fit().parameters[0], value=np.nan)
+    model = Lag(a=np.nan, b=3.0, c=0.25, U0=41.0)
+    fit(model=model, parameters=(lost, *fit().parameters[1:])).save(tmp_path / "fit.json")
+    assert np.isnan(Fit.load(tmp_path / "fit.json", model=Lag).model.a)
+
+
 def test_a_structure_whose_equations_are_others_by_now_is_refused(tmp_path):
     fit().save(tmp_path / "fit.json")
 
