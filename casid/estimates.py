@@ -28,7 +28,7 @@ def on_bounds(
     is asked only where one may be on its bound.
     """
     lower, upper, scale = (each[free.index] for each in (free.lower, free.upper, free.scale))
-    values, moved = np.clip(values, lower, upper), np.clip(values, lower, upper)
+    values = moved = np.clip(values, lower, upper)
     for bound, price in ((lower, multipliers * scale), (upper, -multipliers * scale)):
         gap = np.abs(values - bound) / scale
         moved = np.where((gap <= NEAR) & (gap < price), bound, moved)

@@ -177,7 +177,7 @@ class Record(Shown):
         """The same manoeuvre at equidistant instants, every ``dt`` [s].
 
         Outputs follow a cubic spline, inputs what they do between samples (`hold`); what was lost
-        stays lost, and between samples of a slower channel. Where ``dt`` is longer than the
+        stays lost, between samples of a slower channel too. Where ``dt`` is longer than the
         interval by half or more, all pass a symmetric filter first, so that nothing above the new
         Nyquist frequency is folded back; what it gives is lost, too, where over a tenth of its
         weight is on lost samples. The `stretches` between gaps are resampled each by itself.
@@ -185,7 +185,7 @@ class Record(Shown):
         Raises
         ------
         ValueError
-            No positive interval, one beyond the record, ten million samples; no 16 between gaps.
+            No positive interval, one beyond the record, ten million samples; gaps leave no 16.
         """
         least = self.duration / MOST
         if not least < dt < self.duration:

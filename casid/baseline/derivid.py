@@ -198,16 +198,16 @@ def _result(
     problem: Condensed, model: M, frf: FrequencyResponse, found: Minima, best: Optimum, took: float
 ) -> Fit[M, DerividNotes]:
     free = problem.free
+    held_by_none = np.zeros(len(free.index), dtype=bool)
 
     def felt() -> Array:
-        nothing = np.zeros(len(free.index), dtype=bool)
-        return accuracy(_residual_slopes(problem, best.values), nothing)[1]
+        return accuracy(_residual_slopes(problem, best.values), held_by_none)[1]
 
     values = on_bounds(free, best.values, best.multipliers, felt)
     solved = model.with_vector(free.full(values))
     jacobian = _residual_slopes(problem, values)
-    active = at_bounds(free, values, accuracy(jacobian, np.zeros(len(values), dtype=bool))[1])
-    held = holding(free, values, np.zeros_like(active))
+    active = at_bounds(free, values, accuracy(jacobian, held_by_none)[1])
+    held = holding(free, values, held_by_none)
     cr, insensitivity, bound = accuracy(jacobian, active, held)
     covariance = _scatter(problem, frf, jacobian, bound)
     scatter = np.full(len(cr), np.nan) if covariance is None else np.sqrt(np.diag(covariance))

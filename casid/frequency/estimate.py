@@ -109,7 +109,7 @@ class Estimate:
         """The estimate with its leakage as another tells it, which has little.
 
         Window lengths may all be biased alike, so that they tell nothing of it; they do where noise
-        hides how far the other is.
+        hides how far the other is, and where the other is this one.
         """
         noise = 2 * (self.random_error**2 + other.random_error**2)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -117,7 +117,8 @@ class Estimate:
         beyond = over_three(np.fmax(np.nan_to_num(apart - SURE * noise, posinf=0.0), 0.0))
         hidden = np.fmin(self.leakage**2, noise) + other.leakage**2
         told = np.sqrt(beyond / (1 + beyond) + hidden)  # of both together, as local models have it
-        return replace(self, leakage=np.where(np.isfinite(apart + told), told, self.leakage))
+        known = np.isfinite(apart + told) & (self.G != other.G)
+        return replace(self, leakage=np.where(known, told, self.leakage))
 
     def under_feedback(
         self, omega: Array, last: Sequence[float]

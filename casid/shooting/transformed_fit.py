@@ -93,8 +93,7 @@ def _fit(
 
     def felt() -> Array:
         state = programme.state(solution.x)
-        known = np.zeros(len(free.index)) if state is None else np.diag(state.F)
-        return np.asarray(1 / np.sqrt(np.maximum(known, 1e-300)))
+        return np.full(len(free.index), np.inf) if state is None else _insensitivity(state)
 
     lam = on_bounds(free, solution.x * programme.scales, multipliers, felt)
     model, ties = start.with_vector(free.full(lam)), programme.ties
@@ -135,6 +134,12 @@ def _variances(programme: SpectralProgramme, x: Array) -> Array:
     return np.asarray(np.maximum(power / np.maximum(count, 1.0), 1e-300))
 
 
+def _insensitivity(state: State) -> Array:
+    """What each free parameter (nf,) may move with the others known."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1 / np.sqrt(np.maximum(np.diag(state.F), 0.0)))
+
+
 def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated: bool) -> Precision:
     """Precision of the free parameters; the robust one allows for correlated outputs.
 
@@ -145,8 +150,7 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
         nothing = np.where(np.eye(n, dtype=bool), np.inf, np.nan)
         return Precision(nothing, nothing, np.full(n, np.inf), (), free.names)
     span = free.scale[free.index]
-    with np.errstate(divide="ignore"):
-        insensitivity = 1 / np.sqrt(np.maximum(np.diag(state.F), 0.0))
+    insensitivity = _insensitivity(state)
     ties = holding(free, lam, at_bounds(free, lam, insensitivity)) * span
     unit = np.outer(span, span)
     pull = free.prior_residuals(lam)[1]

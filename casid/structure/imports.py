@@ -25,12 +25,15 @@ def check_imports(path: Path) -> None:
 
     Of the user's modules that a model file imports, which has just been executed.
     """
+    used = structure_files(path)
+    if not used.keys() - {path}:
+        return  # to find where every module of Python's is takes a while
     by_file = {
         Path(file).resolve(): module
         for module in list(sys.modules.values())
         if (file := getattr(module, "__file__", None))
     }
-    for file, held in structure_files(path).items():
+    for file, held in used.items():
         if (module := by_file.get(file)) is not None and file != path:
             spec, now = getattr(module, "__spec__", None), hashlib.sha256(held).hexdigest()
             known, then = _READ.get(file, (None, now))

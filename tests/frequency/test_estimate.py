@@ -72,3 +72,14 @@ def test_averaged_spectra_in_place_of_local_models_are_told_where_losses_leave_n
     with pytest.warns(DataWarning, match="losses leave no stretch for local models"):
         found = estimate().refined([replace(record, y=y)], OMEGA, [0], noise)
     np.testing.assert_array_equal(found.G, estimate().G)
+
+
+def test_leakage_is_what_tells_an_estimate_from_another_beyond_noise_and_its_own_without_one():
+    sure = replace(estimate(), random_error=np.full((3, 1, 1), 1e-6))
+    moved = np.array([1.0, 1.0 + 0.2j, np.nan])[:, None, None]
+    other = replace(sure, G=moved, leakage=np.zeros((3, 1, 1)))
+    found = sure.compared(other).leakage.ravel()
+    third = 0.04 / 3  # the mean of three neighbours' squares, of which one differs
+    np.testing.assert_allclose(found[1], np.sqrt(third / (1 + third)), rtol=1e-4)
+    np.testing.assert_array_equal(found[[0, 2]], 0.3)  # the same, and none
+    np.testing.assert_array_equal(sure.compared(sure).leakage, sure.leakage)
