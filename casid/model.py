@@ -22,6 +22,7 @@ from casid.checks import check_known
 from casid.errors import ModelError
 from casid.linear import StateSpace
 from casid.sensors import Scalar, Sensor
+from casid.surroundings import Surroundings, surroundings
 
 Rows: TypeAlias = Sequence[Sequence[Scalar]]
 
@@ -190,8 +191,8 @@ class Model:
         try:
             hash(trim)
         except TypeError:  # a field that its owner may change
-            return _function.__wrapped__(cls, trim)
-        return _function(cls, trim)
+            return _function.__wrapped__(cls, trim, frozenset())
+        return _function(cls, trim, surroundings(cls))
 
     def system(self) -> StateSpace:
         """The state-space model at the present parameter values."""
@@ -224,8 +225,12 @@ def constants(model: Model) -> tuple[tuple[str, Any], ...]:
 
 
 @lru_cache(maxsize=64)
-def _function(cls: type[Model], trim: tuple[tuple[str, Any], ...]) -> ca.Function:
-    """`Model.matrices` of a structure at a trim; its methods run once, not at every value."""
+def _function(
+    cls: type[Model],
+    trim: tuple[tuple[str, Any], ...],
+    read: Surroundings,  # noqa: ARG001 - it is remembered by
+) -> ca.Function:
+    """`Model.matrices` of a structure at a trim; methods run once for what they read."""
     lam = ca.SX.sym("lam", len(cls.parameter_names()))
     expressions = _expressions(cls(**dict(trim)).with_vector(lam))
     names = ["A", "B", "C", "D", "tau", "c"]

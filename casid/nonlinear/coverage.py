@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -12,6 +12,7 @@ from casid.errors import warn
 from casid.model import constants
 from casid.nonlinear.expressions import Nonlinear, evaluated
 from casid.nonlinear.tables import noted
+from casid.surroundings import Surroundings, surroundings
 
 MARGIN = 0.1  # of a span that a manoeuvre about its end may leave it by,
 NEARBY = 0.05  # or of the largest value: one airspeed, flown with little change, is no wall
@@ -22,13 +23,13 @@ Spans: TypeAlias = Mapping[str, tuple[float, float]]  # lowest and highest value
 
 def tabulated(model: Nonlinear) -> dict[str, tuple[float, float]]:
     """Span of the knots of each variable that tables are over; the narrowest of several tables."""
-    names, _, knots = _scheduled(cast(Any, type(model)), constants(model))
+    names, _, knots = _scheduled(*_built_of(model))
     return {name: ends for name, ends in zip(names, knots, strict=True) if ends is not None}
 
 
 def reached(model: Nonlinear, x: Array, u: Array) -> dict[str, tuple[float, float]]:
     """Span of each scheduled variable, and of airspeed, over states (N, nx) and inputs (N, nu)."""
-    names, function, _ = _scheduled(cast(Any, type(model)), constants(model))
+    names, function, _ = _scheduled(*_built_of(model))
     values = function(np.transpose(x), np.transpose(u), model.vector()).full()
     seen = {name: row[np.isfinite(row)] for name, row in zip(names, values, strict=True)}
     return {n: (float(row.min()), float(row.max())) for n, row in seen.items() if len(row)}
@@ -73,9 +74,16 @@ def warn_beyond(model: Nonlinear, told: str, visited: Spans, flown: Spans | None
         )
 
 
+def _built_of(model: Nonlinear) -> tuple[Any, tuple[tuple[str, Any], ...], Surroundings]:
+    cls: Any = type(model)
+    return cls, constants(model), surroundings(cls)
+
+
 @lru_cache(maxsize=64)
 def _scheduled(
-    cls: Nonlinear, constants: tuple[tuple[str, Any], ...]
+    cls: Nonlinear,
+    constants: tuple[tuple[str, Any], ...],
+    read: Surroundings,  # noqa: ARG001 - it is remembered by
 ) -> tuple[list[str], ca.Function, list[tuple[float, float] | None]]:
     """Variables of tables and airspeeds: names, function of (x, u, λ), spans of the knots."""
     x, u, lam = ([ca.SX.sym(n) for n in names] for names in

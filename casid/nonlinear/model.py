@@ -20,6 +20,7 @@ from casid.nonlinear.conditions import Trim, check_named, linearisation
 from casid.nonlinear.coverage import joined_spans, reached, warn_beyond
 from casid.nonlinear.expressions import evaluated, jumping, linearised, reference_point
 from casid.sensors import Scalar
+from casid.surroundings import Surroundings, surroundings
 
 
 class NonlinearModel(Model, base=True):
@@ -72,7 +73,7 @@ class NonlinearModel(Model, base=True):
             Methods that raise or do not give one expression a state and an output, operations that
             no estimator can differentiate, values not finite at the reference condition.
         """
-        return _equations(cast(Any, type(self)), constants(self))
+        return _equations(cast(Any, cls := type(self)), constants(self), surroundings(cls))
 
     def operating_point(self) -> tuple[Array, Array]:
         """States (nx,) and inputs (nu,) of the reference condition."""
@@ -155,8 +156,12 @@ class NonlinearModel(Model, base=True):
 
 
 @lru_cache(maxsize=64)
-def _equations(cls: type[NonlinearModel], rest: tuple[tuple[str, Any], ...]) -> ca.Function:
-    """`NonlinearModel.equations` of a structure with its constants; its methods run once."""
+def _equations(
+    cls: type[NonlinearModel],
+    rest: tuple[tuple[str, Any], ...],
+    read: Surroundings,  # noqa: ARG001 - it is remembered by
+) -> ca.Function:
+    """`NonlinearModel.equations` of a structure with its constants and what its methods read."""
     _check_units(cls)
     lam = ca.SX.sym("lam", len(cls.parameter_names()))
     x, u = ca.SX.sym("x", len(cls.states)), ca.SX.sym("u", len(cls.inputs))
