@@ -32,6 +32,7 @@ from casid.studies.keeping import Watch
 from casid.studies.runner import StudyOutcome, run_study
 from casid.studies.study import Study, read_flights
 from casid.studies.studyfile import read_study
+from casid.values import digest
 
 WIDE = 24  # column of stages
 
@@ -289,7 +290,8 @@ def _describe(console: Console, study: Study) -> None:
     console.print(table)
     flown = flights.get("refinement", flights["identification"])
     steps = () if study.channels.hold else steps_told(flown, study.model.delays())
-    estimated = [*flights["identification"], *flights.get("refinement", ())]
+    both = *flights["identification"], *flights.get("refinement", ())
+    estimated = list({digest(each.u, each.y): each for each in both}.values())
     untold = () if again.told() else _untold(study, estimated)
     for said in (*again.told(), *steps, *untold):
         caution(console, said)

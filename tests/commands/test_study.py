@@ -142,6 +142,14 @@ def test_check_lists_the_records_and_computes_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_record_of_two_roles_is_no_flight_that_counts_twice(tmp_path):
+    refined = '[records.refinement]\nfiles = ["3211.csv"]\nnoise = true\n\n[records.validation]'
+    path = write_study(tmp_path, ("[records.validation]", refined))
+    result = casid("check", path)
+    assert result.exit_code == 0
+    assert "twice" not in result.output
+
+
 def test_check_tells_what_the_records_cannot_tell_of_the_structure(tmp_path):
     path = write_study(tmp_path)
     said = " ".join(casid("check", path).output.split())
