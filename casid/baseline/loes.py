@@ -181,7 +181,7 @@ class _TransferFunctionFit:
     def __init__(
         self, omega: Array, G: ComplexArray, gamma: Array, order: tuple[int, int], delay: bool
     ) -> None:
-        self.omega, self.G, self.order, self.delay = omega, G, order, delay
+        self.omega, self.G, self.gamma, self.order, self.delay = omega, G, gamma, order, delay
         self.weight = pair_weights(gamma, np.ones(len(omega), dtype=bool))
         self.unit = float(np.sqrt(omega[0] * omega[-1]))
         self.size = float(np.median(np.abs(G)))
@@ -230,13 +230,14 @@ class _TransferFunctionFit:
         delays = DELAYS[: None if self.delay else 1] * 2 * np.pi / abs(self.s[-1])
         starts = [start for tau in delays if (start := self._start(tau)) is not None]
         starts.sort(key=lambda start: float(np.sum(self.residual(start) ** 2)))
+        starts = [*starts[:REFINED], *self._nested()]
         lower = np.full(sum(self.order) + 1 + self.delay, -np.inf)
         if self.delay:
             lower[-1] = 0.0
         solver = scipy.optimize.least_squares
         fit = partial(solver, self.residual, jac=self.jacobian, x_scale="jac", max_nfev=500)
         found = []
-        for start in starts[:REFINED]:
+        for start in starts:
             inside = start if not self.delay else np.append(start[:-1], max(start[-1], 1e-6))
             limits = (lower, np.inf)
             found.append(fit(x0=inside, bounds=limits, xtol=1e-12, ftol=1e-12, gtol=1e-12))
@@ -246,6 +247,20 @@ class _TransferFunctionFit:
             )
         best = min(found, key=lambda result: result.cost)
         return np.asarray(best.x), best.status > 0
+
+    def _nested(self) -> list[Array]:
+        """The fit of one degree less with a pole on a zero: no higher order fits worse than it."""
+        nz, n = self.order
+        if nz == 0 or n == 0:
+            return []
+        lower = _TransferFunctionFit(self.omega, self.G, self.gamma, (nz - 1, n - 1), self.delay)
+        try:
+            x = lower.solve()[0]
+        except ConvergenceError:
+            return []
+        top, bottom = x[:nz], np.append(1.0, x[nz : nz + n - 1])
+        pair = [np.convolve(each, [1.0, 1.0]) for each in (top, bottom)]
+        return [np.concatenate([pair[0], pair[1][1:], x[nz + n - 1 :]])]
 
     def _start(self, tau: float) -> Array | None:
         """Sanathanan & Koerner (1963): linear least squares, reweighted by the last denominator."""

@@ -176,3 +176,15 @@ def test_bad_requests_are_refused():
 def test_python_control_has_the_same_rational_part():
     fit = transfer_function(measured(lambda s: 3 / (s + 2)), (0, 1), delay=False)
     np.testing.assert_allclose(fit.to_control()(1j * 2.0), fit.response(np.array([2.0]))[0])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::casid.DataWarning")
+def test_no_order_fits_worse_than_one_degree_less():
+    # A pole on a zero makes them equal; noise gives the solver minima beside the lowest.
+    omega = np.geomspace(0.3, 20, 40)
+    for seed in (11, 13, 14, 18):
+        rng = np.random.default_rng(seed)
+        frf = measured(lambda s: second_order(s) / (s + 6), omega=omega, noise=0.15, rng=rng)
+        costs = [transfer_function(frf, (n, n + 1)).J for n in range(1, 6)]
+        assert (np.diff(costs) <= 1e-9).all()
