@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from hashlib import sha256
 from typing import Any
 
@@ -15,7 +15,8 @@ from casid.record import Record
 from casid.report.content import Content, DataFile, Timing
 from casid.stages.stage import Role, StageResults
 from casid.structure.imports import structure_files
-from casid.studies.study import Study
+from casid.studies.preparation import Mending
+from casid.studies.study import ChannelSettings, NextFlight, Study
 from casid.studies.written import versions
 
 
@@ -73,19 +74,16 @@ def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataF
 def _settings(study: Study) -> dict[str, str]:
     digest = sha256(study.path.read_bytes()).hexdigest()
     said: dict[str, str] = {"study file": f"{study.path.name}, SHA-256 {digest}"}
-    if study.channels.units:
-        said["channels.units"] = ", ".join(f"{k} {u}" for k, u in study.channels.units.items())
-    said |= {"channels.check": ", ".join(study.channels.check)} if study.channels.check else {}
+    said |= _written("model", study.model, type(study.model)())
     said["equations"] = f"as the structure builds them, SHA-256 {equations_digest(study.model)}"
-    said["channels.hold"] = study.channels.hold or "foh, as nothing else is stated"
-    said |= study.channels.mending.told()
-    if study.channels.second is not None:
-        said["channels.join"] = study.channels.second.told()
+    said |= _of_channels(study.channels)
     if study.noise is not None:
         std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
         said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
     for role, each in study.roles.items():
         said[f"records.{role}"] = f"detrend {each.detrend}, {each.cutting.told()}"
+        for flown, trim in each.trim.items():
+            said[f"records.{role}.trim.{flown}"] = _shown(trim)
     if study.fixed:
         said["fixed"] = ", ".join(study.fixed)
     if study.bounds:
@@ -93,8 +91,22 @@ def _settings(study: Study) -> dict[str, str]:
     for table, value in study.settings.items():
         usual = next(stage.settings for stage in study.stages if stage.table == table)
         said |= _written(table, value, usual) or {table: "as usual"}
+    said |= _written("design", study.design, NextFlight())
     own = ", ".join(study.responses)
     return said | ({"output_error.responses": own} if own else {})
+
+
+def _of_channels(channels: ChannelSettings) -> dict[str, str]:
+    """How columns of files became channels."""
+    plain = replace(channels, mending=Mending(), second=None, columns={})
+    usual = ChannelSettings(inputs=channels.inputs, outputs=channels.outputs)
+    said = _written("channels", plain, usual)
+    if channels.columns:
+        columns = ((name, _shown(column)) for name, column in channels.columns.items())
+        said["channels.columns"] = "; ".join(f"{name}: {column}" for name, column in columns)
+    said["channels.hold"] = channels.hold or "foh, as nothing else is stated"
+    said |= channels.mending.told()
+    return said | ({} if channels.second is None else {"channels.join": channels.second.told()})
 
 
 def _written(place: str, value: Any, default: Any) -> dict[str, str]:  # noqa: ANN401 - any settings

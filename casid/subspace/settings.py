@@ -218,11 +218,15 @@ def _held_out_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
     """Candidates by leaving out whole records, settings one after the other."""
     score = _HeldOut(campaign, _transforms(campaign, grid.poles))
     first = sorted(grid.pasts)[len(grid.pasts) // 2]
-    tried = score(replace(grid, pasts=[first]))
-    best = best_of(tried)
-    near = [order for order in grid.orders if abs(order - best.order) <= 2]
     rest = [past for past in grid.pasts if past != first]
-    tried += score(replace(grid, orders=near, pasts=rest, poles=[best.pole]))
+    if tried := score(replace(grid, pasts=[first])):
+        best = best_of(tried)
+        near = [order for order in grid.orders if abs(order - best.order) <= 2]
+        tried += score(replace(grid, orders=near, pasts=rest, poles=[best.pole]))
+    else:
+        tried = score(replace(grid, pasts=rest))
+    if not tried:
+        return []
     best = best_of(tried)
     last = replace(grid, orders=[best.order], pasts=[best.past], poles=[best.pole])
     for other in grid.regularisations[1:]:
