@@ -13,7 +13,7 @@ from casid.arrays import Array, BoolArray
 from casid.checks import checked_methods, spelling
 from casid.display import Shown, listed
 from casid.errors import warn
-from casid.rereading import warn_of_corners, with_steps_told
+from casid.rereading import warn_of_corners, with_rest_told, with_steps_told
 
 Hold = Literal["foh", "zoh"]
 
@@ -319,7 +319,7 @@ class Record(Shown):
         """Every ``step``-th sample, unfiltered; the hold then applies between these."""
         if not 1 <= step < self.N:
             raise ValueError(f"record {self.name!r}: step={step}, expected 1 to {self.N - 1}")
-        return self.take(slice(None, None, step))
+        return with_rest_told(self.take(slice(None, None, step)), self)
 
     def quiet_samples(self) -> int:
         """Number of samples before the first input leaves its initial value.

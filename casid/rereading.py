@@ -1,8 +1,9 @@
 """What inputs lose that are read at other instants than they were sampled at.
 
 Between samples an input is a straight line or a step. On other instants a step inside an interval
-begins with the next sample, and of a filtered input, which is smooth, straight lines cut the
-corners: both pass for a delay or a lag of the aircraft, larger than estimates' errors tell.
+begins with the next sample; of a filtered input, which is smooth, straight lines cut the corners;
+samples that are left out take with them where a step was. All pass for a delay or a lag of the
+aircraft, larger than estimates' errors tell.
 """
 
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from casid.samples import SLOWER, at_instants
 
 MOVED = 0.02  # of an input's deviation: what steps may lose
 BENT = 0.015  # what straight lines may lose of a filtered input
+LEFT_OUT = 0.03  # of an input's deviation: what samples left out may hold
 
 
 class Flown(Protocol):
@@ -67,6 +69,25 @@ def with_steps_told(after: R, before: Flown, lag: Mapping[str, float]) -> R:
             f"in steps, which do not fall on the record's new instants and count from the next: "
             f"delays are off by up to {dt:g} s, whatever their stated errors. Move the outputs the "
             "other way instead, or by whole samples; resample to an interval all steps fall on"
+        )
+    return after
+
+
+def with_rest_told(after: R, before: Flown) -> R:
+    """A record of some samples of ``before``, with a warning of inputs that moved between these."""
+    lost = {}
+    for channel, x, new in zip(before.inputs, before.u.T, after.u.T, strict=True):
+        off = at_instants(after.t, new, before.t, after.hold) - x
+        known = np.isfinite(off)
+        if known.any() and (share := np.std(off[known]) / max(np.std(x[known]), 1e-300)) > LEFT_OUT:
+            lost[channel] = float(share)
+    if lost:
+        dt = float(np.median(np.diff(before.t)))
+        warn(
+            f"record {after.name!r}: between the samples that are kept {', '.join(lost)} "
+            f"{'moves' if len(lost) == 1 else 'move'} otherwise, {max(lost.values()):.1%} is lost: "
+            f"a step may be off by {dt:g} s, and delays, lags and gains by several stated errors. "
+            "Resample instead, which filters outputs alike, or keep all samples"
         )
     return after
 

@@ -75,3 +75,25 @@ def test_a_second_loggers_steps_stay_steps_and_what_it_lost_is_left_out():
     joined = first.join(gone)
     assert joined.N == gone.N
     assert np.isfinite(joined.u).all()
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_what_moves_between_samples_that_are_kept_is_told_with_its_size(hold):
+    u = stepped(35)  # every second step is with a sample that is left out
+    kept = u[::2]
+    rest = (kept[:-1] + np.append(kept[1:], kept[-1])[:-1]) / 2 if hold == "foh" else kept[:-1]
+    between = np.append(rest, u[-1])
+    off = np.zeros_like(u)
+    off[1::2] = between - u[1::2]
+    share = np.std(off[:-1]) / np.std(u[:-1])
+    assert share > 0.1
+    said = f"flown.*are kept lat moves otherwise, {share:.1%} is lost: a step may be off by 0.02 s"
+    with pytest.warns(DataWarning, match=said):
+        flown(u, hold).decimate(2)
+
+
+def test_samples_that_tell_nothing_new_are_left_out_in_silence():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataWarning)
+        flown(stepped(26), "zoh").decimate(2)
+        flown(np.sin(5 * T), "foh").decimate(5)  # of a sine ω² h² / 8 is off in the middle: 3 %

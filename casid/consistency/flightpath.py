@@ -38,7 +38,7 @@ from casid.consistency.instruments import CLOCKS, OWN, Instruments
 from casid.consistency.limits import Beside, Limit, Whitened, beside, cut_off, judged, standing
 from casid.consistency.measured import Flight, white_noise
 from casid.consistency.pretended import Corrected, Eliminated, Normal
-from casid.consistency.rigid import TURNED, Sides, Terms, terms_of
+from casid.consistency.rigid import TURNED, WHOLE, Sides, Terms, terms_of
 
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
@@ -147,9 +147,14 @@ class _Reconstruction:
     def __init__(self, flights: Sequence[Flight], equations: tuple[str, ...]) -> None:
         self.flights, self.equations = flights, equations
         self.terms = [{each: terms_of(each, flight) for each in equations} for flight in flights]
-        felt = {name for factors, _ in self.terms[0].values() for name in factors}
-        known = felt & set(flights[0].values)
-        self.channels = tuple(name for name in (*RATES, *FORCES) if name in known)
+        there = set(flights[0].values)
+        judged = {  # what another term takes the place of that is missing there is not
+            name
+            for each, (factors, _) in self.terms[0].items()
+            for name in factors
+            if OWN[name] == each or WHOLE[each] <= there
+        }
+        self.channels = tuple(name for name in (*RATES, *FORCES) if name in judged & there)
         found, self.of = np.unique([flight.record for flight in flights], return_inverse=True)
         self.records = len(found)
         self.splines = []  # cubic pieces between samples, (4, N - 1) each

@@ -27,7 +27,7 @@ from casid.consistency.measured import (
     strays,
 )
 from casid.consistency.recordwise import clocks_by_record
-from casid.consistency.rigid import GRAVITY
+from casid.consistency.rigid import GRAVITY, NEEDED, WHOLE
 from casid.consistency.signs import set_upright
 from casid.consistency.voting import mean, significant
 from casid.display import Shown, counted, in_a_row, listed
@@ -38,14 +38,6 @@ from casid.threads import one_thread
 
 SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
-
-NEEDED = {  # channels without which an equation means nothing
-    "phi": {"phi", "p"},
-    "theta": {"theta", "q"},
-    "psi": {"psi", *RATES, "phi", "theta"},
-    **{name: {*VELOCITIES, *FORCES, *RATES, "phi", "theta"} for name in VELOCITIES},
-}
-WHOLE = NEEDED | {"phi": {"phi", "theta", *RATES}, "theta": {"phi", "theta", "q", "r"}}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -275,6 +267,9 @@ def _unchecked(names: set[str], pieces: Sequence[Record], steps: Mapping[str, fl
         for rate, attitude in (("p", "phi"), ("q", "theta"))
         if rate in there and (lacking := [name for name in (rate, attitude) if name not in names])
     ]
+    lacking = sorted(WHOLE["theta"] - {"r"} - names)
+    if "r" in names and lacking:  # it would take the place of what turns with it
+        notes.append(f"r was not checked: {', '.join(map(absence, lacking))}")
     lacking = sorted(NEEDED["u"] - names)
     if lacking and {*FORCES} & names:
         why = ", ".join(map(absence, lacking))

@@ -6,12 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import RATES, VELOCITIES
+from casid.channels import FORCES, RATES, VELOCITIES
 from casid.consistency.instruments import CLOCKS, OWN
 from casid.consistency.measured import Flight, read_later
 
 GRAVITY = 9.80665  # m/s^2
 TURNED = ("phi", "theta")  # attitudes that stand in products
+NEEDED = {  # channels without which an equation means nothing
+    "phi": {"phi", "p"},
+    "theta": {"theta", "q"},
+    "psi": {"psi", *RATES, "phi", "theta"},
+    **{name: {*VELOCITIES, *FORCES, *RATES, "phi", "theta"} for name in VELOCITIES},
+}
+WHOLE = NEEDED | {  # without which something is missing in it
+    "phi": {"phi", "theta", *RATES},
+    "theta": {"phi", "theta", "q", "r"},
+}
 TILT = 1e-5  # rad of a difference in place of a derivative
 
 Moved = Mapping[str, tuple[Array, Array]]  # channels and their slopes
@@ -122,7 +132,8 @@ class Sides:
 
     def _sum(self, equation: str, angles: Mapping[str, Array], true: Moved) -> Array:
         factors, f = terms_of(equation, self.flight, angles)
-        return sum((a * true[name][0] for name, a in factors.items() if name in true), f)
+        known = self.flight.values | {name: x for name, (x, _) in true.items()}
+        return sum((a * known[name] for name, a in factors.items() if name in known), f)
 
     def _later(self, equation: str, clock: str, later: Mapping[str, Array]) -> Array:
         """Slope by a clock: what it delays is read later, in its own equations all is earlier."""

@@ -69,16 +69,16 @@ class Iterate:
         """By how much the optimality conditions (Karush, Kuhn, Tucker) are missed, at most."""
         slopes = programme.gradient(self.x) + self.bounds
         slopes += programme.constraint_matrix(self.x).T @ self.constraints
+        return max(float(np.abs(slopes).max()), self.broken(programme))
+
+    def broken(self, programme: Programme) -> float:
+        """How far it is beyond bounds and constraints, or from those that have a price, at most."""
         (lower, upper), (lower_c, upper_c) = programme.limits()
         g, nf = programme.values(self.x).g, len(lower)
         closed = np.zeros(len(g) - len(lower_c))  # the intervals
         low, high = np.concatenate([closed, lower_c]), np.concatenate([closed, upper_c])
-        missed = [
-            np.abs(slopes).max(),
-            _missed(self.x[:nf], lower, upper, self.bounds[:nf]),
-            _missed(g, low, high, self.constraints),
-        ]
-        return float(np.max(missed))
+        alone = _missed(self.x[:nf], lower, upper, self.bounds[:nf])
+        return max(alone, _missed(g, low, high, self.constraints))
 
     def left(self, programme: Programme) -> float:
         """Log-likelihood that a step would still gain by the last model's curvature."""

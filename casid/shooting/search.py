@@ -98,6 +98,9 @@ class Search:
         solution = self._near(first, guess, 1, options, close=True)
         found = Outcome(first, solution, solution.iterations, 1, True)
         outcome = self.around(self._released(found))
+        if outcome.cost > _begun_at(first, point) + GAIN:  # infinite without success
+            LOG.info("output error: the fit nearby leads to a hollow, or to no solution")
+            return None
         return outcome if outcome.solution.success else None
 
     def run(
@@ -320,6 +323,15 @@ def _leads_back(programme: Programme, x: Array, guess: Iterate, a: int) -> bool:
     at_end = min(there - lower[a], upper[a] - there) < ROUGH * width
     dear = abs(price) * width * programme.n > 1  # in units of log-likelihood
     return bool(at_end and dear and (x[a] - there) * price > 0)
+
+
+def _begun_at(programme: Programme, point: Point) -> float:
+    """Negative log-likelihood at a start; infinite where that breaks bounds or constraints."""
+    x = programme.pack(point)
+    values = programme.values(x)
+    start = Iterate(x, np.zeros_like(x), np.zeros_like(values.g))
+    fair = np.isfinite(values.cost) and start.broken(programme) < ROUGH
+    return programme.n * values.cost if fair else np.inf
 
 
 def _calmed(programme: Programme, point: Point) -> Programme:

@@ -471,3 +471,25 @@ def test_skew_is_found_to_five_milliseconds_among_outliers_and_losses():
     assert check.shifts["p"] == pytest.approx(-0.06, abs=0.005)
     mended = kinematic_check([record.shift(check.shifts) for record in spoiled])
     assert not any("late" in remark or "early" in remark for remark in mended.remarks)
+
+
+@pytest.mark.parametrize("bank", [0.3, 0.5])
+def test_no_gyro_is_blamed_for_a_pitch_rate_that_was_not_recorded(bank):
+    # Coordinated turns at constant θ: ψ' = g tan φ / V, θ' = q cos φ - r sin φ = 0.
+    rng, dt, theta = np.random.default_rng(2), 0.02, 0.05
+    t = dt * np.arange(4000)
+    late = np.maximum(t - 3, 0)
+    phi = bank * (0.6 * np.sin(0.35 * late) + 0.4 * np.sin(1.1 * late))
+    rolling = bank * (0.21 * np.cos(0.35 * late) + 0.44 * np.cos(1.1 * late)) * (t > 3)
+    turning = 9.80665 * np.tan(phi) / 35
+    p = rolling - turning * np.sin(theta)
+    q = turning * np.sin(phi) * np.cos(theta)
+    r = turning * np.cos(phi) * np.cos(theta)
+    y = np.column_stack([p, q, r, phi, theta + 0 * t]) + 0.003 * rng.standard_normal((len(t), 5))
+    names = ("p", "q", "r", "phi", "theta")
+    whole = Record(t, rng.standard_normal((len(t), 1)), y, ("lat",), names)
+    assert kinematic_check(whole).remarks == ()
+    found = kinematic_check(whole.select(outputs=["p", "r", "phi"]), trim={"theta0": theta})
+    assert found.remarks == ()
+    assert [each.channel for each in found.channels] == ["p"]
+    assert "r was not checked: there is no q, there is no theta" in found.notes

@@ -66,6 +66,7 @@ def cautions(folder, *changes, truth=None):
     return re.findall(r"<li>(.*?)</li>", box, flags=re.DOTALL)
 
 
+@pytest.mark.filterwarnings("ignore:record .3211.. between the samples:casid.DataWarning")
 @pytest.mark.slow
 def test_a_structure_that_lacks_a_rotor_leads_the_box_with_what_matters(tmp_path):
     said = cautions(tmp_path, *MEASURED, ENOUGH, NARROW, SPARSE, truth=Lagged())
