@@ -1,6 +1,6 @@
 """What can be wrong with a model file, told with the name of the culprit."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Set
 from dataclasses import fields
 from numbers import Real
 from typing import Any
@@ -208,10 +208,10 @@ def written(symbolic: Any, method: str, convert: Callable[[Any], Any], *argument
 
 def check_lengths(rows: Any) -> None:  # noqa: ANN401 - whatever the user wrote
     """Refuse what is not a sequence of rows of one length."""
-    if isinstance(rows, str) or not hasattr(rows, "__len__"):
+    if isinstance(rows, str | Set | Mapping) or not hasattr(rows, "__len__"):
         raise ModelError(f"it is {rows!r}, expected a list of rows: [[a, b], [c, d]]")
     for i, row in enumerate(rows):
-        if isinstance(row, str) or not hasattr(row, "__len__"):
+        if isinstance(row, str | Set | Mapping) or not hasattr(row, "__len__"):
             raise ModelError(f"row {i} is {row!r}, expected a list of entries: [[a, b], [c, d]]")
     lengths = [len(row) for row in rows]
     if not lengths or min(lengths) == 0:

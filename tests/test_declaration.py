@@ -67,6 +67,8 @@ def test_another_value_of_a_base_without_a_type_is_refused_as_it_would_change_no
         ({"A": lambda _: [[1, 2], [1], [2, 3]]}, "Lag.A: row 1 has 1 entries, the others have 2"),
         ({"A": lambda _: [1]}, r"Lag.A: row 0 is 1, expected a list of entries"),
         ({"A": lambda self: self.a}, r"Lag.A: it is .*, expected a list of rows"),
+        ({"A": lambda self: {(self.a,)}}, r"Lag.A: it is .*, expected a list of rows"),
+        ({"A": lambda _: [{1.0}]}, r"Lag.A: row 0 is \{1.0\}, expected a list of entries"),
         ({"A": lambda _: []}, "Lag.A: a matrix needs at least one row"),
         ({"A": lambda self: [[self.D]]}, r"Lag.A: entry \[0\]\[0\] is .*; call it: add \(\)"),
         ({"A": lambda _: [["a"]]}, r"Lag.A: entry \[0\]\[0\] is 'a', expected a number"),

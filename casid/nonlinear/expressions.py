@@ -1,6 +1,6 @@
 """Right-hand sides and outputs of nonlinear structures as expressions, and their derivatives."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -40,7 +40,7 @@ def evaluated(model: Nonlinear, x: Sequence[Any], u: Sequence[Any]) -> tuple[ca.
     named = Channels("state", model.states, x), Channels("input", model.inputs, u)
 
     def column(values: Any, names: Sequence[str]) -> ca.SX:  # noqa: ANN401 - whatever they wrote
-        if isinstance(values, str) or not hasattr(values, "__len__"):
+        if isinstance(values, str | Set | Mapping) or not hasattr(values, "__len__"):
             raise ModelError(f"it is {values!r}, expected a list: {', '.join(names)}")
         if len(values) != len(names):
             raise ModelError(

@@ -20,6 +20,7 @@ from casid.free import Free
 from casid.intersample import ORDER
 from casid.nonlinear.coverage import reached
 from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.switches import passages, told
 from casid.record import Record
 from casid.shooting.flow import STAGES, Flow, Slopes, weights
 from casid.shooting.intervals import Layout
@@ -191,6 +192,13 @@ class NonlinearEvaluator(Evaluator):
         return reached(
             self.model.with_vector(self._full(point.lam)), self.simulate(point).states, u
         )
+
+    def jumps(self, point: Point) -> str:
+        """What is said of jumps that records pass in a simulation from a point; "" of none."""
+        edges = np.cumsum([record.N for record in self.layout.records])[:-1]
+        x, u = self.simulate(point).states, self.inputs(self.matrices(point.lam))
+        flights = list(zip(np.split(x, edges), np.split(u, edges), strict=True))
+        return told(passages(self.model.with_vector(self._full(point.lam)), flights))
 
     def lost(self, point: Point) -> str:
         """Where equations first have no value in a simulation from a point; "" if all have."""

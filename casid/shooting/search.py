@@ -142,12 +142,13 @@ class Search:
             found = integration(outcome.programme, outcome.solution.x)
             factor = 1 if self.steps else factor_wanted(found, len(evaluator.lengths))
             if factor == 1:
-                lam = outcome.programme.unpack(outcome.solution.x).lam
-                if not (said := still_coarse(found, evaluator, lam)):
-                    return outcome, found
-                if found.widened > SHIFT and not self.steps:
+                point = outcome.programme.unpack(outcome.solution.x)
+                coarse = still_coarse(found, evaluator, point.lam)
+                said = evaluator.jumps(point) or coarse  # where steps do not settle for a jump
+                if coarse and found.widened > SHIFT and not self.steps:
                     return outcome.failed(said), found
-                warn(f"{type(evaluator.model).__name__}: {said}")
+                if said:
+                    warn(f"{type(evaluator.model).__name__}: {said}")
                 return outcome, found
             last, solution = outcome.programme, outcome.solution
             programme = last.variant(evaluator=evaluator.finer(factor))

@@ -76,6 +76,7 @@ class Keeper:
             done = self._done(stage, settings, task)
             for said in done.warnings:
                 warn(said)
+            self.warnings += done.warnings
             self._note(stage.name, done.seconds, done.result)
             return done.result
         key = self._keys[stage.name] = self._key(stage, settings, task)

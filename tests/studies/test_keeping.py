@@ -166,6 +166,15 @@ def test_what_ran_ahead_is_told_in_its_turn(tmp_path, monkeypatch, caplog, kept,
         assert caplog.messages == ["first", "second", "first"]
 
 
+@pytest.mark.filterwarnings("ignore:the second has doubts:casid.DataWarning")
+@pytest.mark.parametrize("kept", [True, False])
+def test_what_any_stage_warns_of_is_for_the_report(tmp_path, kept):
+    study = read_study(write_study(tmp_path))
+    keeper = Keeper(study, Lines(), [], fresh=False, command="")
+    keeper(Stage(name="second", does="", run=_second, kept=kept), None, study.task({}, {}))
+    assert keeper.warnings == ["the second has doubts"]
+
+
 @pytest.mark.parametrize("part", ["source_digest", "structure_digest", "equations_digest"])
 def test_a_result_rests_on_code_libraries_model_file_and_equations(
     tmp_path, monkeypatch, caplog, part

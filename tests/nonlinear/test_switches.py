@@ -1,0 +1,94 @@
+"""Equations that jump, and whether records pass where they do."""
+
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+
+from casid import DataWarning, NonlinearModel, Record, Scalar, output_error, parameter
+from casid.nonlinear.switches import passages
+
+T = 0.05 * np.arange(400)
+STICK = 0.35 * np.sign(np.sin(1.1 * T))
+
+
+class Roll(NonlinearModel):
+    """p' = (L0 or L1) p + Llat lat: another damping beyond a rate."""
+
+    states, inputs, outputs = ("p",), ("lat",), ("p",)
+    L0: Scalar = parameter(default=-0.8, lower=-9.0, upper=0.0, unit="1/s")
+    L1: Scalar = parameter(default=-2.0, lower=-9.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=4.0, lower=0.0, upper=50.0, unit="1/s^2")
+    rate: float = 0.5
+
+    def damping(self, p, u):  # noqa: ARG002
+        return ca.if_else(ca.fabs(p) > self.rate, self.L1, self.L0) * p
+
+    def derivatives(self, x, u):
+        return [self.damping(x.p, u) + self.Llat * u.lat]
+
+    def measurements(self, x, u):  # noqa: ARG002
+        return [x.p]
+
+
+class Friction(Roll):
+    def damping(self, p, u):  # noqa: ARG002
+        return self.L0 * p + self.L1 * ca.sign(p)
+
+
+class Bent(Roll):
+    """The same rates on either side of the threshold, but no slopes."""
+
+    def damping(self, p, u):  # noqa: ARG002
+        beyond = self.L1 * (p - self.rate * ca.sign(p)) + self.L0 * self.rate * ca.sign(p)
+        return ca.if_else(ca.fabs(p) > self.rate, beyond, self.L0 * p)
+
+
+class Switched(Roll):
+    """Another damping by a switch, whose instants are measured."""
+
+    def damping(self, p, u):
+        return ca.if_else(u.lat > 0, self.L1, self.L0) * p
+
+
+def flown(model):
+    """A record of a structure, by steps of a thousandth of a sample's thirtieth."""
+    f = model.equations()
+    names, lam = ca.SX.sym("p"), model.vector()
+    own = ca.Function("f", [names, lat := ca.SX.sym("lat")], [f(names, lat, lam)[0]])
+
+    def rate(t, p):
+        return own(p, np.interp(t, T, STICK)).full().ravel()
+
+    found = scipy.integrate.solve_ivp(rate, (0, T[-1]), [0.0], t_eval=T, max_step=0.02, rtol=1e-8)
+    y = found.y.T + 0.005 * np.random.default_rng(1).standard_normal((len(T), 1))
+    return Record(T, STICK[:, None], y, ("lat",), ("p",), "square")
+
+
+@pytest.mark.parametrize(
+    ("model", "threshold"), [(Roll(), "0.5 = fabs(p)"), (Friction(L1=-0.2), "p = 0")]
+)
+def test_jumps_that_records_pass_are_told_as_often_as_they_do(model, threshold):
+    record = flown(model)
+    x = record.y
+    (found,) = passages(model, [(x, record.u)])
+    sides = np.abs(x[:, 0]) > 0.5 if model.__class__ is Roll else x[:, 0] > 0
+    assert (found.equation, found.threshold) == ("dp/dt", threshold)
+    assert found.times == np.sum(sides[1:] != sides[:-1])
+
+
+@pytest.mark.parametrize("model", [Roll(rate=5.0), Bent(), Switched()], ids=["far", "bent", "by u"])
+def test_what_no_parameter_moves_or_does_not_jump_is_not_told(model):
+    record = flown(model)
+    assert passages(model, [(record.y, record.u)]) == []
+
+
+def test_a_fit_says_that_its_errors_miss_how_jumps_move():
+    record = flown(Roll())
+    with pytest.warns(DataWarning, match=r"Roll: dp/dt jumps at 0.5 = fabs\(p\), passed \d+ times"):
+        output_error(Roll(), [record])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataWarning)
+        output_error(Bent(), [flown(Bent())])
