@@ -158,14 +158,15 @@ def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVer
 def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Array]:
     """Columns in SI units; ``units`` names those that are not yet.
 
-    A name that ends with the unit that no longer holds, ``time_ms`` or ``p [deg/s]``, loses it.
+    A name that ends with the unit that no longer holds, ``time_ms``, or with any in brackets, as
+    ``p [deg/s]``, loses it.
     """
     if lacking := [name for name in units if name not in table]:
         raise ValueError(f"there is no column {lacking[0]!r}; there are {', '.join(table)}")
     found = dict[str, Array]()
     for name, x in table.items():
         unit = units.get(name, "1")
-        plain = name.removesuffix(f"_{unit}").removesuffix(f"[{unit}]").rstrip() or name
+        plain = re.sub(r"\s*\[[^]]*\]$", "", name.removesuffix(f"_{unit}")).rstrip() or name
         new = plain if name in units and plain not in {*table, *found} else name
         found[new] = x * factor_of(plain, unit)  # pulses are a control's, lat_us is one
     return found

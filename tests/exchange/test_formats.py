@@ -111,6 +111,7 @@ def test_units_are_converted_by_name():
     changed = in_si(pulses, {"lat_us": "us", "p_deg/s": "deg/s", "p [deg/s]": "deg/s"})
     assert changed["lat"] == in_si({"lat": np.array([1500.0])}, {"lat": "us"})["lat"] == 1.5
     assert len(changed) == 3
+    assert list(in_si({"Stick [us]": np.array([1500.0])}, {"Stick [us]": "pwm"})) == ["Stick"]
     with pytest.raises(ValueError, match="no column 'q'"):
         in_si(table, {"q": "deg/s"})
     with pytest.raises(ValueError, match="unknown unit"):
