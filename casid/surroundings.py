@@ -4,17 +4,14 @@ Methods of a class read numbers of their module, of the class and of functions b
 notebook any of them may change under the class, and its equations change with it.
 """
 
-import pickle
 from collections.abc import Hashable
 from functools import lru_cache
-from hashlib import blake2b
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any, TypeAlias
 
-import numpy as np
+from casid.values import digest
 
 PLAIN = (bool, int, float, complex, str, type(None))
-DATA = (np.ndarray, np.generic, list, tuple, dict, set, SimpleNamespace)
 OURS = "casid", "builtins", "abc"
 
 Surroundings: TypeAlias = frozenset[tuple[Hashable, Hashable]]
@@ -91,7 +88,7 @@ class _Found:
             if value.__module__ in self.modules:
                 self.follow_class(value)
         else:
-            self.values[key] = _digest(value) if isinstance(value, DATA) else _Same(value)
+            self.values[key] = _digest(value)
 
 
 @lru_cache(maxsize=1024)
@@ -103,6 +100,6 @@ def _names(code: CodeType) -> frozenset[str]:
 
 def _digest(value: Any) -> Hashable:  # noqa: ANN401
     try:
-        return blake2b(pickle.dumps(value), digest_size=16).digest()
-    except (pickle.PicklingError, TypeError, AttributeError, RuntimeError):
+        return digest(vars(value) if isinstance(value, SimpleNamespace) else value)
+    except TypeError:
         return _Same(value)  # it holds what is no data
