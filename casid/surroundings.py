@@ -4,6 +4,7 @@ Methods of a class read numbers of their module, of the class and of functions b
 notebook any of them may change under the class, and its equations change with it.
 """
 
+import dis
 from collections.abc import Hashable
 from functools import lru_cache
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
@@ -12,6 +13,7 @@ from typing import Any, TypeAlias
 from casid.values import digest
 
 PLAIN = (bool, int, float, complex, str, type(None))
+READS = "LOAD_GLOBAL", "LOAD_NAME"
 OURS = "casid", "builtins", "abc"
 
 Surroundings: TypeAlias = frozenset[tuple[Hashable, Hashable]]
@@ -68,11 +70,10 @@ class _Found:
             self.take((function, name), cell.cell_contents)
         if function.__module__ not in self.modules:
             return
-        names = _names(code)
-        for name in names & around.keys():
+        for name in _globals(code) & around.keys():
             value = around[name]
             if isinstance(value, ModuleType):
-                for each in names & vars(value).keys():
+                for each in _names(code) & vars(value).keys():
                     self.take((name, each), vars(value)[each])
             else:
                 self.take((function.__module__, name), value)
@@ -92,8 +93,16 @@ class _Found:
 
 
 @lru_cache(maxsize=1024)
+def _globals(code: CodeType) -> frozenset[str]:
+    """Names that code reads from its module: not x.p where there happens to be a p, too."""
+    own = (each.argval for each in dis.get_instructions(code) if each.opname in READS)
+    inner = (_globals(each) for each in code.co_consts if isinstance(each, CodeType))
+    return frozenset(own).union(*inner)
+
+
+@lru_cache(maxsize=1024)
 def _names(code: CodeType) -> frozenset[str]:
-    """Names that code reads, functions within it too."""
+    """Names and attributes that code reads, functions within it too."""
     inner = (_names(each) for each in code.co_consts if isinstance(each, CodeType))
     return frozenset(code.co_names).union(*inner)
 
