@@ -21,6 +21,7 @@ from casid.surroundings import Surroundings, surroundings
 
 LOOKED_AT = 20  # passages of a threshold, at most
 HALVED = 45  # times an interval about it
+BESIDE = 1e-9  # of the interval, off the threshold on either side
 JUMP = 1e-6  # of what a right-hand side moves by over the records
 
 
@@ -74,12 +75,12 @@ def passages(model: Nonlinear, flights: Sequence[tuple[Array, Array]]) -> list[P
             continue
         some = np.unique(np.linspace(0, times - 1, LOOKED_AT).astype(int))
         before, after = before[some], after[some]
-        first = above(before)[:, [i]]
+        first, across = above(before)[:, [i]], BESIDE * (after - before)
         for _ in range(HALVED):
             middle = (before + after) / 2
             same = above(middle)[:, [i]] == first
             before, after = np.where(same, middle, before), np.where(same, after, middle)
-        jump = np.abs(sides(after) - sides(before)).max(axis=0)
+        jump = np.abs(sides(after + across) - sides(before - across)).max(axis=0)
         found += [
             Passage(name, threshold, times)
             for name, height, usual in zip(names, jump, size, strict=True)

@@ -65,6 +65,18 @@ def test_tables_and_their_narrowest_span_are_found():
     ]  # fmt: skip
 
 
+def test_tables_are_those_that_the_code_reads_by_now():
+    ends = [20.0, 40.0]
+
+    class Own(Pushed):
+        def derivatives(self, x, u):
+            return [u.push, spline(x.u, tuple(ends), (0.0, 1.0))]
+
+    assert tabulated(Own()) == {"u": (20.0, 40.0)}
+    ends[0] = 25.0
+    assert tabulated(Own()) == {"u": (25.0, 40.0)}
+
+
 def test_an_airspeed_without_tables_is_known_but_not_limited():
     bare = Pushed(knots=())
     assert tabulated(bare) == {}

@@ -79,6 +79,12 @@ def test_jumps_that_records_pass_are_told_as_often_as_they_do(model, threshold):
     assert found.times == np.sum(sides[1:] != sides[:-1])
 
 
+def test_a_threshold_in_the_middle_of_a_sample_is_a_jump_too():
+    x, u = np.array([[-1.0], [1.0]]), np.zeros((2, 1))  # half way p = 0, where sign is neither
+    (found,) = passages(Friction(L1=-0.2), [(x, u)])
+    assert (found.threshold, found.times) == ("p = 0", 1)
+
+
 @pytest.mark.parametrize("model", [Roll(rate=5.0), Bent(), Switched()], ids=["far", "bent", "by u"])
 def test_what_no_parameter_moves_or_does_not_jump_is_not_told(model):
     record = flown(model)

@@ -193,8 +193,15 @@ def test_the_unit_of_time_does_not_matter():
 
 def test_grids_that_give_nothing_are_refused_with_what_was_tried():
     records = campaign(records=2, duration=24.0)
-    with pytest.raises(ValueError, match=r"tried orders \[90\]"):
-        select_order(records, orders=[90], pasts=[8], poles=[6.0])
+    for pasts, feedthrough in (([8], True), ([8], ["z"]), ([6, 8], ["z"])):
+        with pytest.raises(ValueError, match=r"tried orders \[90\]"):
+            select_order(records, orders=[90], pasts=pasts, poles=[6.0], feedthrough=feedthrough)
+
+
+def test_windows_are_tried_where_the_usual_one_is_too_long():
+    records = campaign(records=2, duration=24.0)
+    found = select_order(records, orders=[3], pasts=[5, 400, 500], poles=[6.0], feedthrough=["z"])
+    assert found.chosen.past == 5
 
 
 @pytest.mark.campaign
