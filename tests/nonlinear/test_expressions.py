@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from truths.swing import Swing
 
+from casid import ModelError
 from casid.nonlinear.expressions import Channels, balances, jumping, linearised, operations
 
 
@@ -57,3 +58,13 @@ def test_rates_and_slopes_at_a_point_are_those_by_hand():
     assert [float(ca.DM(x)) for row in B for x in row] == pytest.approx([5 * np.cos(theta), 0.0])
     np.testing.assert_array_equal([[float(ca.DM(x)) for x in row] for row in C], np.eye(2))
     assert D == [[0], [0]]  # nothing acts there, whatever the point
+
+
+@pytest.mark.parametrize("written", [set, lambda rates: dict(enumerate(rates))])
+def test_rates_without_an_order_are_refused(written):
+    class Unordered(Swing):
+        def derivatives(self, x, u):
+            return written(Swing.derivatives(self, x, u))
+
+    with pytest.raises(ModelError, match="Unordered.derivatives: it is .*, expected a list"):
+        Unordered().equations()

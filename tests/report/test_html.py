@@ -59,7 +59,7 @@ def test_the_page_tells_what_is_needed_to_repeat_the_run(page, content, study_fo
     for file in content.data:
         assert file.sha256 in text
     assert sha256((study_folder / "roll.py").read_bytes()).hexdigest() in text
-    for word_ in ("pbsid.order", "lat %", "casadi", "numpy", "seed 1", *content.model_files):
+    for word_ in ("pbsid.order", "lat: %", "casadi", "numpy", "seed 1", *content.model_files):
         assert word_ in text
 
 

@@ -82,10 +82,13 @@ def test_settings_name_what_makes_channels_of_columns_and_what_a_model_begins_wi
     columns = '[channels]\ntime = "t"\n[channels.columns]\nlat = { lat = 0.5, phi = 0.1 }\n'
     model = 'file = "roll.py:Roll"\nvalues = { Lp = -2.5 }\n'
     changes = ("[channels.units]", columns + "[channels.units]"), ('file = "roll.py:Roll"\n', model)
+    files = 'files = ["3211.csv", "sweep.csv"]\n'
+    changes += ((files, files + 'trim = { "3211*" = { v = 2.0 } }\n'),)
     design = "[design]\nduration = 12.0\n\n[match]"
     said = _settings(read_study(write_study(tmp_path, *changes, ("[match]", design))))
     assert said["channels.columns"] == "lat: lat: 0.5, phi: 0.1"
     assert said["channels.units"] == "lat: %"
     assert said["model.Lp"] == "-2.5"
     assert said["design.duration"] == "12.0"
+    assert said["records.identification.trim.3211*"] == "v: 2.0"
     assert not {"channels.time", "channels.dt", "model.Llat"} & said.keys()
