@@ -66,5 +66,5 @@ def test_rates_without_an_order_are_refused(written):
         def derivatives(self, x, u):
             return written(Swing.derivatives(self, x, u))
 
-    with pytest.raises(ModelError, match="Unordered.derivatives: it is .*, expected a list"):
+    with pytest.raises(ModelError, match=r"Unordered.derivatives: it is .*, expected a list"):
         Unordered().equations()
