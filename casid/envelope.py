@@ -48,12 +48,13 @@ class Envelope(Shown):
     local : Envelope or None
         The same of fits made at one condition each, to compare with.
     balanced : tuple of str
-        States and inputs that the conditions do not name: found so that dx/dt = 0.
+        States and inputs that the conditions do not name: found so that dx/dt = 0, of several
+        balances the one nearest to what the fit's records began in.
     moved : mapping
         By how much at most those that they name moved for it.
     doubts : tuple of str
-        Conditions, of local fits too, that do not balance, do with what they name far away, or
-        leave some of it open.
+        Conditions, of local fits too, that do not balance, do with what they name far away, leave
+        some of it open, or have several balances none of which is clearly nearest.
     """
 
     speed: Array
@@ -92,7 +93,8 @@ def envelope(
         Of a `NonlinearModel`.
     trims : sequence of Trim
         Where it is linearised; placed at their ``speed``, or at their value of "u" or "V". States
-        and inputs that they do not name, or call unknown, are balanced from the reference on.
+        and inputs that they do not name, or call unknown, are balanced, states from what the
+        fit's records began in on, else from the reference.
     entries : sequence of pairs
         State and what its derivative is taken by, state or input: ``("q", "w")`` for M_w.
     local : mapping of Trim to Fit
@@ -145,7 +147,9 @@ def _gathered(
     along = sorted(fits, key=lambda each: _speed(each[0]))
     speed = np.array([_speed(trim) for trim, _ in along])
     rest = [
-        balanced(fit.model, trim) if isinstance(fit.model, NonlinearModel) else Balance(trim)
+        balanced(fit.model, trim, flown=fit.initial_states)
+        if isinstance(fit.model, NonlinearModel)
+        else Balance(trim)
         for trim, fit in along
     ]
     along = [(each.trim, fit) for each, (_, fit) in zip(rest, along, strict=True)]

@@ -112,7 +112,8 @@ def design(
         what.spare(*(f"design/{name}" for name in WRITTEN))
         model = _kept(what)
         structure = model.model if isinstance(model, Fit) else model
-        trim, flown = _condition(structure, _flown(what), {**what.design.trim, **asked["trim"]})
+        wished = {**what.design.trim, **asked["trim"]}
+        trim, flown = _condition(model, _flown(what), wished)
         limits, dt = _limits(what, flown, asked)
         settings = _settings(what, asked, model, dt)
         if channels := asked["ardupilot"]:
@@ -207,9 +208,10 @@ def _flown(study: Study) -> list[Record]:
 
 
 def _condition(
-    model: Model, records: list[Record], asked: Mapping[str, float]
+    known: AnyFit | Model, records: list[Record], asked: Mapping[str, float]
 ) -> tuple[Trim | None, list[Record]]:
     """Where a nonlinear structure is to be flown, and its records from there, about their trims."""
+    model, began = (known.model, known.initial_states) if isinstance(known, Fit) else (known, None)
     check_trim(model, asked)
     if not isinstance(model, NonlinearModel):
         return None, records
@@ -230,8 +232,8 @@ def _condition(
     nearest = int(np.argmin(np.abs(np.array(speeds) - wanted[0]))) if wanted else 0
     place, flown = places[nearest]
     wished = replace(place, values={**place.values, **asked})
-    trim = replace(balanced(model, wished, held={*SPEEDS, *asked}).trim, moves={})
-    return trim, [record.total().detrend("first") for record in flown]
+    rest = balanced(model, wished, held={*SPEEDS, *asked}, flown=began)
+    return replace(rest.trim, moves={}), [record.total().detrend("first") for record in flown]
 
 
 def _limits(

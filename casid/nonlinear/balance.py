@@ -3,6 +3,8 @@
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,6 +22,11 @@ EXACT = 1e4  # weight of dx/dt = 0 against what is named staying as it is
 LOOSE = 1e5  # how much further what is not named moves from the reference at the same price
 DETERMINED = 1e-9  # least singular value of the balance's slopes, relative to the largest
 FAR = 0.03  # of travel, rad, or of the airspeed: trims are measured better
+STARTS = 12  # from which other balances are looked for
+SPREAD = 0.3  # of those starts, relative to an unknown's size, at least absolute
+APART = 1e-3  # of two balances that differ, in the same units
+REACH = 1.0  # of two that may be confused, in the same units
+TOLD = 0.5  # distance from the start to one balance, over that to another, which tells which
 
 
 @dataclass(frozen=True)
@@ -36,66 +43,149 @@ class Balance:
     doubt: str = ""
 
 
-def balanced(model: NonlinearModel, trim: Trim, *, held: Collection[str] = SPEEDS) -> Balance:
+_End: TypeAlias = tuple[Array, Array, Array]  # states and inputs z, dx/dt there, its slopes by z
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The balances near a point z of states and inputs: which of it may move, at what price."""
+
+    model: NonlinearModel
+    z0: Array
+    sought: BoolArray  # not named: it moves at next to no price
+    free: BoolArray  # that and what gives way
+    known: BoolArray  # of what is sought, what was flown, if anything: it tells balances apart
+    size: Array  # what a move counts by
+
+    @cached_property
+    def balance(self) -> tuple[ca.Function, BoolArray]:
+        """dx/dt and its slopes, and the states whose rows have to rest."""
+        function, acts = balance_function(self.model)
+        return function, acts[: len(self.model.states)]
+
+    @cached_property
+    def price(self) -> Array:
+        """Of the moves of what is free, a diagonal matrix."""
+        return np.diag(1 / np.where(self.sought, LOOSE * self.size, self.size)[self.free])
+
+    def at(self, move: Array) -> _End:
+        """Where a move of what is free leads."""
+        z, (function, rows) = self.z0.copy(), self.balance
+        z[self.free] += move
+        f, J = (part.full()[rows] for part in function(z, self.model.vector()))
+        return z, f.ravel(), J
+
+    def _residuals(self, move: Array) -> Array:
+        return np.concatenate([EXACT * self.at(move)[1], self.price @ move])
+
+    def _slopes(self, move: Array) -> Array:
+        return np.vstack([EXACT * self.at(move)[2][:, self.free], self.price])
+
+    def ends(self, moves: Sequence[Array]) -> list[_End]:
+        """Where the search from each move ends that has a dx/dt; balances first, by distance."""
+        finite = [each for each in moves if np.isfinite(self._residuals(each)).all()]
+        how: Any = {"x_scale": self.size[self.free]}
+        how |= dict.fromkeys(("xtol", "ftol", "gtol"), 1e-12)
+        search = scipy.optimize.least_squares
+        found = [search(self._residuals, each, self._slopes, **how) for each in finite]
+        ends = [self.at(end.x) for end in found]
+        rest = [each for each in ends if self.rests(each)]
+        return sorted(rest, key=lambda end: self.apart(end[0], self.z0, self.known)) or ends
+
+    def strained(self, z: Array) -> BoolArray:
+        """What is named and moved far."""
+        return np.asarray(~self.sought & (np.abs(z - self.z0) > FAR * self.size))
+
+    def rests(self, end: _End) -> bool:
+        """Whether an end is in balance with what is named nearly as it was."""
+        return bool(np.abs(end[1]).max() < BALANCE) and not self.strained(end[0]).any()
+
+    def rank(self, end: _End) -> int:
+        """How many of what is not named the equations determine."""
+        slopes = end[2][:, self.sought] * self.size[self.sought]
+        return int(np.linalg.matrix_rank(slopes, rtol=DETERMINED))
+
+    def apart(self, z: Array, other: Array, among: BoolArray) -> float:
+        """The largest distance of two points among some of their values, in sizes."""
+        return float((np.abs(z - other) / self.size)[among].max(initial=0.0))
+
+    def doubts(self, ends: Sequence[_End]) -> list[str]:
+        """What speaks against the first of these ends, which are all `ends`."""
+        names, (z, f, _) = (*self.model.states, *self.model.inputs), ends[0]
+        said = [
+            f"{names[k]} {z[k] - self.z0[k]:+.2g} from the {self.z0[k]:.4g} it names"
+            for k in np.flatnonzero(self.strained(z))
+        ]
+        resting = itertools.compress(self.model.states, self.balance[1])
+        said = _uneven(dict(zip(resting, f, strict=True))) or said
+        if (rank := self.rank(ends[0])) < (count := self.sought.sum()):
+            return [*said, f"its equations determine {rank} of these {count} only"]
+        near = [end[0] for end in ends if APART < self.apart(end[0], z, self.sought) < REACH]
+        if said or not near:
+            return said
+        off, far = (self.apart(each, self.z0, self.known) for each in (z, near[0]))
+        if max(off, APART) <= TOLD * far:
+            return []
+        differ = np.flatnonzero(self.sought & (np.abs(near[0] - z) > APART * self.size))
+        return [
+            f"it balances with {', '.join(f'{names[k]} = {near[0][k]:.4g}' for k in differ)} too"
+        ]
+
+
+def balanced(
+    model: NonlinearModel,
+    trim: Trim,
+    *,
+    held: Collection[str] = SPEEDS,
+    flown: Array | None = None,
+) -> Balance:
     """The condition with dx/dt = 0 that is nearest to a trim, whatever that names.
 
     What it names was measured, or lies between what was, so that on it alone no balance need exist:
     all that is not ``held`` gives way, by the least sum of squares, angles in rad, sticks in
     travel, values above one by shares, velocities relative to the airspeed. What it does not name,
-    or calls unknown, is free, from the reference on. States that no equation depends on, positions
-    and headings, need not rest. Doubts are of equations that stay out of balance, of what is named
-    and moved far, and of more unknowns than the equations determine.
+    or calls unknown, is free, and has the balance nearest to where it starts: states as a record of
+    the fit began, of ``flown`` (records, nx) the one nearest to what is named; else the reference.
+    States that no equation depends on, positions and headings, need not rest. Doubts are of
+    equations that stay out of balance, of what is named and moved far, of more unknowns than the
+    equations determine, and of several balances none of which is clearly nearest.
     """
-    names = (*model.states, *model.inputs)
-    usual = zip(names, map(float, np.concatenate(model.operating_point())), strict=True)
-    start = {name: trim.values.get(name, value) for name, value in usual}
-    z0, (balance, acts) = np.array(list(start.values())), balance_function(model)
-    rows, states = acts[: len(model.states)], itertools.compress(model.states, acts)
+    names, point = (*model.states, *model.inputs), np.concatenate(model.operating_point())
+    usual = {n: trim.values.get(n, float(value)) for n, value in zip(names, point, strict=True)}
+    size, acts = _sizes(model, usual), balance_function(model)[1]
+    began = _began(model, trim, flown, size)
+    z0 = np.array(list((usual | began).values()))
     sought = acts & [name not in trim.values or name in trim.unknown for name in names]
     free = sought | acts & [name not in held for name in names]
-    size = _sizes(model, start)
-    price = np.diag(1 / np.where(sought, LOOSE * size, size)[free])
-
-    def at(move: Array) -> tuple[Array, Array, Array]:
-        z = z0.copy()
-        z[free] += move
-        f, J = (part.full()[rows] for part in balance(z, model.vector()))
-        return z, f.ravel(), J
-
-    def residuals(move: Array) -> Array:
-        return np.concatenate([EXACT * at(move)[1], price @ move])
-
-    def slopes(move: Array) -> Array:
-        return np.vstack([EXACT * at(move)[2][:, free], price])
-
-    still = np.zeros(free.sum())
-    if not np.isfinite(residuals(still)).all():
+    known = sought & np.isin(names, list(began)) if began else sought
+    search, rows = _Search(model, z0, sought, free, known, size), acts[: len(model.states)]
+    usually = (np.array(list(usual.values())) - z0)[free]
+    if search.rests(end := search.at(usually)) and search.rank(end) < max(sought.sum(), 1):
+        own = trim.moves or moving(model, end[0], rows, free, search.price)
+        return Balance(replace(trim, moves=own))  # as good as any
+    around = sought[free] * size[free] * scattered(free.sum())
+    if not (ends := search.ends([*around, usually] if sought.any() else [usually])):
         return Balance(trim, doubt=_told(trim, {}, ["dx/dt is not finite"]))
-    if not free.any() or np.abs(at(still)[1]).max() < BALANCE:
-        return Balance(replace(trim, moves=trim.moves or moving(model, z0, rows, free, price)))
-    end = scipy.optimize.least_squares(
-        residuals, still, slopes, x_scale=size[free], xtol=1e-12, ftol=1e-12, gtol=1e-12
-    )
-    z, f, J = at(end.x)
+    z = ends[0][0]
     values = dict(zip(itertools.compress(names, free), map(float, z[free]), strict=True))
     found = {name: values[name] for name in itertools.compress(names, sought)}
-    moved = {name: value - start[name] for name, value in values.items() if name not in found}
-    doubts = [
-        f"{name} {moved[name]:+.2g} from the {start[name]:.4g} it names"
-        for name in itertools.compress(names, ~sought & (np.abs(z - z0) > FAR * size))
-    ]
-    doubts = _uneven(dict(zip(states, f, strict=True))) or doubts
-    if (rank := np.linalg.matrix_rank(J[:, sought] * size[sought], rtol=DETERMINED)) < len(found):
-        doubts.append(f"its equations determine {rank} of these {len(found)} only")
+    moved = {n: value - trim.values[n] for n, value in values.items() if n not in found}
     whole = replace(trim, values=dict(trim.values) | values, unknown=())
-    whole = replace(whole, moves=moving(model, z, rows, free, price))
-    return Balance(whole, found, moved, _told(trim, found, doubts))
+    whole = replace(whole, moves=moving(model, z, rows, free, search.price))
+    return Balance(whole, found, moved, _told(trim, found, search.doubts(ends)))
+
+
+def scattered(count: int) -> Array:
+    """No move, and those to look for other balances from, (1 + STARTS, count), in sizes."""
+    moves = SPREAD * np.random.default_rng(0).uniform(-1, 1, (1 + STARTS, count))
+    moves[0] = 0.0
+    return np.asarray(moves)
 
 
 def unbalanced(model: Model, doubts: Sequence[str]) -> str:
     """What a warning says of the doubts of `balanced`."""
     return (
-        f"{type(model).__name__} is linearised where it is not known to be in balance, "
+        f"{type(model).__name__} is linearised where its balance is in doubt, "
         f"{listed(doubts, 3)}: name more in the trim of the records, or fly speeds between"
     )
 
@@ -141,6 +231,17 @@ def _expressions(model: NonlinearModel) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     lam = ca.SX.sym("lam", len(model.parameter_names()))
     f = model.equations()(*ca.vertsplit(z, [0, len(model.states), z.numel()]), lam)[0]
     return z, lam, f, ca.jacobian(f, z)
+
+
+def _began(model: NonlinearModel, trim: Trim, flown: Array | None, size: Array) -> dict[str, float]:
+    """States that a trim does not name as the record began that is nearest to those it does."""
+    if flown is None or not len(flown):
+        return {}
+    named = [name in trim.values and name not in trim.unknown for name in model.states]
+    values = np.array([trim.values.get(name, 0.0) for name in model.states])
+    away = np.square((flown - values) / size[: len(values)])[:, named].sum(axis=1)
+    began = zip(model.states, flown[np.argmin(away)].tolist(), strict=True)
+    return {name: value for name, value in began if name not in trim.values}
 
 
 def _sizes(model: NonlinearModel, start: Mapping[str, float]) -> Array:

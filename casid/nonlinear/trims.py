@@ -8,13 +8,10 @@ import scipy
 from casid.arrays import Array
 from casid.checks import check_known
 from casid.errors import ModelError, warn
-from casid.nonlinear.balance import DETERMINED, balance_function
+from casid.nonlinear.balance import APART, DETERMINED, balance_function, scattered
 from casid.nonlinear.conditions import BALANCE, Trim
 from casid.nonlinear.model import NonlinearModel
 
-STARTS = 12  # from which other trims are looked for
-SPREAD = 0.3  # of those starts, relative to an unknown's size, at least absolute
-APART = 1e-3  # of two trims that differ, in the same units
 OUT_OF_BALANCE = 1e-2  # largest |dx/dt| of a reference condition that still counts as a trim
 
 
@@ -102,7 +99,7 @@ def _solutions(
     places = [list(start).index(name) for name in unknown]
     both, lam = balance_function(model)[0], model.vector()
     size = np.maximum(np.abs(values[places]), 1.0)
-    rng, least = np.random.default_rng(0), np.full(nx, np.inf)
+    least = np.full(nx, np.inf)
     found: list[Array] = []
 
     def at(unknown: Array) -> Array:
@@ -116,9 +113,7 @@ def _solutions(
     def slope(unknown: Array) -> Array:
         return np.asarray(both(at(unknown), lam)[1].full()[:, places])
 
-    moves = SPREAD * rng.uniform(-1, 1, (1 + STARTS, len(places)))
-    moves[0] = 0.0
-    starts = [values[places] + size * move for move in moves]
+    starts = values[places] + size * scattered(len(places))
     for first in (each for each in starts if np.isfinite(balance(each)).all()):
         end = scipy.optimize.least_squares(
             balance, first, slope,

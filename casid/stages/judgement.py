@@ -98,10 +98,10 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
     Modes and responses of nonlinear structures are those at the trim of the first record.
     """
     at, doubt = "", ""
-    own = content.fits[content.delivered].model if content.delivered in content.fits else None
-    if isinstance(own := own or content.model, NonlinearModel):
+    fit = content.fits.get(content.delivered)
+    if isinstance(own := fit.model if fit else content.model, NonlinearModel):
         trim = flight_condition(own, found.measured[0])
-        rest = balanced(own, trim)
+        rest = balanced(own, trim, flown=fit.initial_states if fit else None)
         at = f"the trim of record {found.records[0]}: {_values(rest.trim)}"
         if rest.found:
             at += f", {', '.join(rest.found)} so that the equations balance, dx/dt = 0"
@@ -128,7 +128,8 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
 def _linear(model: AnyModel, trim: Trim) -> AnyModel:
     """A fit of a nonlinear structure as one of its linearisation; what else there is, itself."""
     if isinstance(model, Fit) and isinstance(model.model, NonlinearModel):
-        return replace(model, model=model.model.at(balanced(model.model, trim).trim))
+        rest = balanced(model.model, trim, flown=model.initial_states)
+        return replace(model, model=model.model.at(rest.trim))
     return model
 
 

@@ -208,3 +208,57 @@ def test_a_condition_that_moves_is_another_one():
     assert replace(moving, moves=dict(moving.moves)) == moving
     ahead = [replace(Sinking().at(each), k=0.07).system().A[2, 2] for each in (moving, held)]
     assert abs(ahead[0] - ahead[1]) > 1e-3
+
+
+class Twofold(NonlinearModel):
+    """V' = d (10 - V) + e - 1, w' = a (w² - 1) + e - 1: at V = 10, e = 1 it balances at w = ±1."""
+
+    states, inputs, outputs = ("V", "w"), ("e",), ("V", "az")
+
+    a: Scalar = parameter(default=0.4, lower=0.01, upper=3.0, unit="1/m")
+    d: Scalar = parameter(default=0.7, lower=0.01, upper=9.0, unit="1/s")
+
+    def derivatives(self, x, u):
+        return [self.d * (10.0 - x.V) + u.e - 1.0, self.a * (x.w**2 - 1.0) + u.e - 1.0]
+
+    def measurements(self, x, u):
+        return [x.V, self.a * (x.w**2 - 1.0) + u.e - 1.0]
+
+    def reference(self):
+        return {"V": 10.0, "w": 0.2, "e": 1.0}
+
+
+CRUISE = Trim(name="cruise", values={"V": 10.0, "e": 1.0})
+
+
+def test_of_several_balances_that_is_taken_in_which_records_began():
+    began = np.array([[14.0, 1.1], [10.2, -0.9]])  # of two records: the slower is the nearer
+    rest = balanced(Twofold(), CRUISE, flown=began)
+    assert (rest.doubt, rest.found) == ("", {"w": pytest.approx(-1.0)})
+    faster = balanced(Twofold(), CRUISE, flown=began[:1])
+    assert (faster.doubt, faster.found) == ("", {"w": pytest.approx(1.0)})
+
+
+@pytest.mark.parametrize("began", [None, np.array([[10.0, 0.2]])])
+def test_several_balances_none_of_which_is_clearly_nearest_are_told(began):
+    rest = balanced(Twofold(), CRUISE, flown=began)
+    assert rest.found == {"w": pytest.approx(1.0)}
+    assert rest.doubt == "at cruise with w = 1: it balances with w = -1 too"
+
+
+def test_a_reference_in_balance_is_not_taken_where_another_balance_was_flown():
+    class Other(Twofold):
+        """Written down at the balance that is not flown."""
+
+        def reference(self):
+            return {"V": 10.0, "w": 1.0, "e": 1.0}
+
+    rest = balanced(Other(), CRUISE, flown=np.array([[10.0, -0.95]]))
+    assert (rest.doubt, rest.found) == ("", {"w": pytest.approx(-1.0)})
+    assert balanced(Other(), CRUISE).found == {"w": pytest.approx(1.0)}
+
+
+def test_where_a_record_began_without_values_the_reference_is_the_start():
+    trim = Trim(values={"u": 0.0, "thr": 2.0})
+    rest = balanced(Rooted(), trim, flown=np.array([[-50.0, 0.0]]))
+    assert (rest.doubt, rest.found) == ("", {"w": pytest.approx(4.0)})
