@@ -18,6 +18,7 @@ from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design
 from casid.design.prior import check_trim, tells_noise
+from casid.envelope import flight_condition
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit
 from casid.free import free_parameters
@@ -27,7 +28,7 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.coverage import SPEEDS
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.stages.conditions import flight_condition, flight_conditions
+from casid.stages.conditions import flight_conditions
 from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
