@@ -16,6 +16,7 @@ from casid.display import listed
 from casid.model import Model
 from casid.nonlinear.conditions import BALANCE, Trim
 from casid.nonlinear.coverage import airspeeds
+from casid.nonlinear.expressions import resting
 from casid.nonlinear.model import NonlinearModel
 
 EXACT = 1e4  # weight of dx/dt = 0 against what is named staying as it is
@@ -60,8 +61,7 @@ class _Search:
     @cached_property
     def balance(self) -> tuple[ca.Function, BoolArray]:
         """dx/dt and its slopes, and the states whose rows have to rest."""
-        function, acts = balance_function(self.model)
-        return function, acts[: len(self.model.states)]
+        return balance_function(self.model)[0], resting(self.model.equations())
 
     @cached_property
     def price(self) -> Array:
@@ -159,10 +159,10 @@ def balanced(
     held = airspeeds(model, names) if held is None else held
     free = sought | acts & [name not in held for name in names]
     known = sought & np.isin(names, list(began)) if began else sought
-    search, rows = _Search(model, z0, sought, free, known, size), acts[: len(model.states)]
+    search = _Search(model, z0, sought, free, known, size)
     usually = (np.array(list(usual.values())) - z0)[free]
     if search.rests(end := search.at(usually)) and search.rank(end) < max(sought.sum(), 1):
-        own = trim.moves or moving(model, end[0], rows, free, search.price)
+        own = trim.moves or moving(model, end[0], search.balance[1], free, search.price)
         return Balance(replace(trim, moves=own))  # as good as any
     around = sought[free] * size[free] * scattered(free.sum())
     if not (ends := search.ends([*around, usually] if sought.any() else [usually])):
@@ -172,7 +172,7 @@ def balanced(
     found = {name: values[name] for name in itertools.compress(names, sought)}
     moved = {n: value - trim.values[n] for n, value in values.items() if n not in found}
     whole = replace(trim, values=dict(trim.values) | values, unknown=())
-    whole = replace(whole, moves=moving(model, z, rows, free, search.price))
+    whole = replace(whole, moves=moving(model, z, search.balance[1], free, search.price))
     return Balance(whole, found, moved, _told(trim, found, search.doubts(ends)))
 
 
