@@ -8,7 +8,8 @@ names does as far as it gives way.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -17,12 +18,13 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown, counted, listed
 from casid.errors import ModelError, warn
 from casid.evaluation import MatrixFunction
-from casid.fit import AnyFit
+from casid.fit import AnyFit, Fit
 from casid.free import free_parameters
 from casid.nonlinear.balance import Balance, balanced, unbalanced
 from casid.nonlinear.conditions import Trim, check_named, linearisation
-from casid.nonlinear.coverage import leaves, tabulated
+from casid.nonlinear.coverage import airspeeds, leaves, tabulated
 from casid.nonlinear.model import NonlinearModel
+from casid.record import Record
 
 NOTHING = 1e-9  # share of an entry's largest dependence on a parameter that is rounding
 
@@ -92,7 +94,8 @@ def envelope(
     fit : Fit
         Of a `NonlinearModel`.
     trims : sequence of Trim
-        Where it is linearised; placed at their ``speed``, or at their value of "u" or "V". States
+        Where it is linearised; placed at their ``speed``, or at their value of "u" or "V", of an
+        input only if the structure's ``units`` give it in m/s. States
         and inputs that they do not name, or call unknown, are balanced, states from what the
         fit's records began in on, else from the reference.
     entries : sequence of pairs
@@ -138,18 +141,34 @@ def envelope(
     return made
 
 
+def flight_condition(model: NonlinearModel, record: Record) -> Trim:
+    """Where a record was flown: its trim, what it measures before an input moves."""
+    known = record.total().detrend("first").trim
+    own = {name: known[name] for name in (*model.states, *model.inputs) if name in known}
+    speed = next((own[name] for name in airspeeds(model, own)), np.nan)
+    return Trim(name=f"{speed:.4g} m/s", values=own, speed=speed)
+
+
+def balance_of(fit: Fit[Any, Any], trim: Trim) -> Balance:
+    """The balance of a fit's structure at a trim, of several that in which its records began."""
+    return balanced(fit.model, trim, flown=fit.initial_states)
+
+
+def linear_fit(fit: Fit[Any, Any], trim: Trim) -> AnyFit:
+    """A fit of a nonlinear structure as one of its linearisation in balance at a trim."""
+    return replace(fit, model=fit.model.at(balance_of(fit, trim).trim))
+
+
 def _gathered(
     fits: Sequence[tuple[Trim, AnyFit]],
     entries: Sequence[tuple[str, str]],
     local: Envelope | None = None,
 ) -> Envelope:
     """The envelope of fits, each at its condition."""
-    along = sorted(fits, key=lambda each: _speed(each[0]))
-    speed = np.array([_speed(trim) for trim, _ in along])
+    along = sorted(fits, key=lambda each: _speed(*each))
+    speed = np.array([_speed(*each) for each in along])
     rest = [
-        balanced(fit.model, trim, flown=fit.initial_states)
-        if isinstance(fit.model, NonlinearModel)
-        else Balance(trim)
+        balance_of(fit, trim) if isinstance(fit.model, NonlinearModel) else Balance(trim)
         for trim, fit in along
     ]
     along = [(each.trim, fit) for each, (_, fit) in zip(rest, along, strict=True)]
@@ -185,12 +204,13 @@ def _is_beyond(trim: Trim, fit: AnyFit) -> bool:
     return False
 
 
-def _speed(trim: Trim) -> float:
+def _speed(trim: Trim, fit: AnyFit) -> float:
     """Where a condition stands on the axis of speeds."""
-    speed = trim.speed if np.isfinite(trim.speed) else trim.values.get("u", trim.values.get("V"))
-    if speed is None:
+    if np.isfinite(trim.speed):
+        return trim.speed
+    if not (named := airspeeds(fit.model, trim.values)):
         raise ValueError(f"trim {trim.name!r} has no speed; give it one: Trim(speed=...)")
-    return float(speed)
+    return trim.values[named[0]]
 
 
 def _read(

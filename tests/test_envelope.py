@@ -174,6 +174,27 @@ def test_of_two_balances_that_is_shown_which_the_records_flew():
     assert len(told.doubts) == 1
 
 
+def test_an_input_called_u_is_no_airspeed():
+    class Stick(Faster):
+        """The same, its speed called V, its stick u."""
+
+        states, inputs, outputs = ("V", "q"), ("u", "push"), ("V", "q")
+
+        def derivatives(self, x, u):
+            damping = self.Mq + self.Mq_V * (x.V - 30.0) / 10.0
+            return [u.push, damping * x.q + self.Mlon * x.V * u.u]
+
+        def reference(self):
+            return {"V": 30.0}
+
+    record = flown(20.0).rename({"u": "V", "lon": "u"})
+    still = output_error(Stick(), record, biases=False, fixed=("Mq_V",))
+    found = envelope(still, [Trim(values={"V": 20.0, "u": 0.0})], PAIRS[:1])
+    assert found.speed.tolist() == [20.0]
+    with pytest.raises(ValueError, match="has no speed"):
+        envelope(still, [Trim(values={"u": 0.0})], PAIRS[:1])
+
+
 def test_conditions_that_were_not_flown_are_told_and_drawn_without_a_band(fit):
     plt = pytest.importorskip("matplotlib.pyplot")
     with pytest.warns(DataWarning, match=r"at 5, 100 m/s, outside .*\(u 19\.98 to 39\.99\)"):

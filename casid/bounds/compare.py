@@ -16,11 +16,15 @@ from casid.bounds.cases import Case, CaseSpec
 from casid.bounds.prices import CaseResult, price_case
 from casid.bounds.trials import Data, Fits, spelt_out
 from casid.display import Shown
+from casid.envelope import balance_of, flight_condition
 from casid.errors import warn
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job
 from casid.model import Bounds, Model
+from casid.nonlinear.balance import unbalanced
+from casid.nonlinear.conditions import Trim
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several
 from casid.shooting.output_error import OutputError
@@ -47,6 +51,9 @@ class BoundsComparison(Shown):
         Name of the structure's class.
     validation : Validation or None
         Of the cases on unseen records.
+    linearised_at : str
+        Of a nonlinear structure: where eigenvalues are those of its linearisation, the trim of the
+        first unseen record, else of the first, in balance; else the reference condition.
     """
 
     cases: tuple[CaseResult, ...]
@@ -54,6 +61,7 @@ class BoundsComparison(Shown):
     estimator: str
     structure: str
     validation: Validation | None = None
+    linearised_at: str = ""
 
     def headline(self) -> str:
         """Structure, estimator, cases with their increase of the cost."""
@@ -105,8 +113,10 @@ class BoundsComparison(Shown):
         prices = [f"price in {name}" for name in names if name != self.freest]
         body = [[name, *_cells(self, name)] for name in self.ranked()]
         relations = [row for case in self.cases for row in _relation_cells(case)]
+        at = f"Eigenvalues are of the structure linearised at {self.linearised_at}."
         parts = [
             markdown_table(heading, cases),
+            *([at] if self.linearised_at else []),
             markdown_table(["parameter", *names, *prices], body),
         ]
         if relations:
@@ -166,7 +176,10 @@ def compare_bounds(
     if good and (unseen := several(validation)):
         judged = validate(good, unseen)
     base = next(case for case in read if case.name == freest), good.get(freest)
-    results = tuple(price_case(case, done[case.name], base, fits.data, judged) for case in read)
+    trim, where = _flown(good, judged, fits.data)
+    results = tuple(
+        price_case(case, done[case.name], base, fits.data, judged, trim) for case in read
+    )
     _warn_of_minima(results, freest)
     return BoundsComparison(
         cases=results,
@@ -174,7 +187,25 @@ def compare_bounds(
         estimator=spelt_out(type(estimator).__name__),
         structure=type(model).__name__,
         validation=judged,
+        linearised_at=where,
     )
+
+
+def _flown(
+    fits: Mapping[str, AnyFit], judged: Validation | None, data: Sequence[Any]
+) -> tuple[Trim | None, str]:
+    """The trim at which cases of a nonlinear structure are linearised, if records tell one."""
+    curved: list[Fit[Any, Any]]
+    curved = [fit for fit in fits.values() if isinstance(fit.model, NonlinearModel)]
+    if not curved:
+        return None, ""
+    flown = (*(judged.measured if judged else ()), *data)
+    if not isinstance(flown[0], Record):
+        return None, "its reference condition"
+    trim = flight_condition(curved[0].model, flown[0])
+    if doubts := [doubt for fit in curved if (doubt := balance_of(fit, trim).doubt)]:
+        warn(unbalanced(curved[0].model, doubts))
+    return trim, f"the trim of record {flown[0].name}, in balance"
 
 
 def _jobs(cases: Sequence[Case], fits: Fits, start: Model | AnyFit | None) -> list[Job]:
@@ -207,7 +238,7 @@ ERRORS = ("std_error", "cramer_rao")
 ROW = ("name", "unit", "guess", "value", *ERRORS, "lower", "upper", "active", "multiplier")
 FIGURES = ("reason", "cost", "increase", "predicted", "held", "aicc", "statistic", "freedom")
 PARAMETERS = ("case", "kind", *ROW, "share", "p_value")
-CASES = ("case", *FIGURES, "p_value", "validation_rms", "start", "eigenvalues")
+CASES = ("case", *FIGURES, "p_value", "validation_rms", "start", "eigenvalues", "linearised_at")
 ABSENT = {"unit": "", "guess": np.nan} | dict.fromkeys(ERRORS, np.nan)  # of a relation
 
 
@@ -224,7 +255,8 @@ def _case_rows(comparison: BoundsComparison) -> Iterator[list[Any]]:
     for case in comparison.cases:
         poles = " ".join(f"{pole:.6g}" for pole in case.eigenvalues)
         figures = [getattr(case, name) for name in FIGURES]
-        yield [case.name, *figures, case.p_value, case.rms, case.start, poles]
+        where = comparison.linearised_at
+        yield [case.name, *figures, case.p_value, case.rms, case.start, poles, where]
 
 
 def _case_cells(case: CaseResult) -> list[str]:

@@ -11,9 +11,11 @@ from casid.arrays import Array, ComplexArray
 from casid.bounds.cases import Case
 from casid.bounds.robust import price_p_values, ratio_p_value, weights
 from casid.bounds.trials import aicc
+from casid.envelope import linear_fit
 from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
 from casid.free import free_parameters
 from casid.jobs.store import Done
+from casid.nonlinear.conditions import Trim
 from casid.records import standard_deviations
 from casid.validation import Validation
 
@@ -57,7 +59,8 @@ class CaseResult:
     rms : float
         Of the validation residuals, each output divided by its standard deviation.
     eigenvalues : (nx,) complex array
-        [1/s], the fastest growing first.
+        [1/s], the fastest growing first; of a nonlinear structure in balance where
+        `BoundsComparison.linearised_at` says.
     start : str
         Case whose fit it started from.
     """
@@ -88,17 +91,19 @@ def price_case(
     base: tuple[Case, AnyFit | None],
     data: Sequence[Any],
     validation: Validation | None,
+    trim: Trim | None = None,
 ) -> CaseResult:
-    """The result of a case, measured against the freest and its fit."""
+    """The result of a case, measured against the freest and its fit; eigenvalues at a trim."""
     fit: AnyFit | None = done.result
     if fit is None or done.reason:
         return CaseResult(name=case.name, reason=done.reason, fit=fit, start=done.source)
     rows = zip(_own(fit, case)[1], case.relations, strict=True)
+    linear = linear_fit(fit, trim).model if trim else fit.model
     found = CaseResult(
         name=case.name, fit=fit, parameters=_parameters(fit, case),
         relations=tuple(row for row, relation in rows if len(relation.names) > 1), held=fit.held,
         cost=fit.cost, aicc=aicc(fit, data), rms=relative_rms(validation, case.name),
-        eigenvalues=fit.model.system().poles(), start=done.source,
+        eigenvalues=linear.system().poles(), start=done.source,
     )  # fmt: skip
     freest, free = base
     if free is None:

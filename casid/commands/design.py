@@ -18,16 +18,17 @@ from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design
 from casid.design.prior import check_trim, tells_noise
+from casid.envelope import flight_condition
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit
 from casid.free import free_parameters
 from casid.model import Model
 from casid.nonlinear.balance import balanced
 from casid.nonlinear.conditions import Trim
-from casid.nonlinear.coverage import SPEEDS
+from casid.nonlinear.coverage import airspeeds
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.stages.conditions import flight_condition, flight_conditions
+from casid.stages.conditions import flight_conditions
 from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
@@ -215,24 +216,24 @@ def _condition(
     check_trim(model, asked)
     if not isinstance(model, NonlinearModel):
         return None, records
-    fast = any(name in SPEEDS for name in model.states)
+    named = airspeeds(model, (*model.states, *model.inputs))
     places = (
         flight_conditions(model, records)
-        if fast
+        if named
         else [(flight_condition(model, records[0]), records)]
     )
     speeds = [place.speed for place, _ in places]
-    wanted = [value for name, value in asked.items() if name in SPEEDS]
+    wanted = [value for name, value in asked.items() if name in named]
     if len(places) > 1 and not wanted:
         told = ", ".join(f"{speed:.4g}" for speed in speeds)
         raise ValueError(
             f"the records were flown at {len(places)} speeds, {told} m/s: say at which to fly, "
-            f"--trim {next(name for name in SPEEDS if name in model.states)}={speeds[0]:.4g}"
+            f"--trim {named[0]}={speeds[0]:.4g}"
         )
     nearest = int(np.argmin(np.abs(np.array(speeds) - wanted[0]))) if wanted else 0
     place, flown = places[nearest]
     wished = replace(place, values={**place.values, **asked})
-    rest = balanced(model, wished, held={*SPEEDS, *asked}, flown=began)
+    rest = balanced(model, wished, held={*named, *asked}, flown=began)
     return replace(rest.trim, moves={}), [record.total().detrend("first") for record in flown]
 
 

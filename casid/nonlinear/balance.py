@@ -15,7 +15,8 @@ from casid.channels import UNITS
 from casid.display import listed
 from casid.model import Model
 from casid.nonlinear.conditions import BALANCE, Trim
-from casid.nonlinear.coverage import SPEEDS
+from casid.nonlinear.coverage import airspeeds
+from casid.nonlinear.expressions import resting
 from casid.nonlinear.model import NonlinearModel
 
 EXACT = 1e4  # weight of dx/dt = 0 against what is named staying as it is
@@ -60,8 +61,7 @@ class _Search:
     @cached_property
     def balance(self) -> tuple[ca.Function, BoolArray]:
         """dx/dt and its slopes, and the states whose rows have to rest."""
-        function, acts = balance_function(self.model)
-        return function, acts[: len(self.model.states)]
+        return balance_function(self.model)[0], resting(self.model.equations())
 
     @cached_property
     def price(self) -> Array:
@@ -136,19 +136,19 @@ def balanced(
     model: NonlinearModel,
     trim: Trim,
     *,
-    held: Collection[str] = SPEEDS,
+    held: Collection[str] | None = None,
     flown: Array | None = None,
 ) -> Balance:
     """The condition with dx/dt = 0 that is nearest to a trim, whatever that names.
 
     What it names was measured, or lies between what was, so that on it alone no balance need exist:
-    all that is not ``held`` gives way, by the least sum of squares, angles in rad, sticks in
-    travel, values above one by shares, velocities relative to the airspeed. What it does not name,
-    or calls unknown, is free, and has the balance nearest to where it starts: states as a record of
-    the fit began, of ``flown`` (records, nx) the one nearest to what is named; else the reference.
-    States that no equation depends on, positions and headings, need not rest. Doubts are of
-    equations that stay out of balance, of what is named and moved far, of more unknowns than the
-    equations determine, and of several balances none of which is clearly nearest.
+    all that is not ``held``, airspeeds unless given, gives way, by the least sum of squares, angles
+    in rad, sticks in travel, values above one by shares, velocities relative to the airspeed. What
+    it does not name, or calls unknown, is free, and has the balance nearest to where it starts:
+    states as a record of the fit began, of ``flown`` (records, nx) the one nearest to what is
+    named; else the reference. States that no equation depends on, positions and headings, need not
+    rest. Doubts are of equations that stay out of balance, of what is named and moved far, of more
+    unknowns than the equations determine, and of several balances none of which is clearly nearest.
     """
     names, point = (*model.states, *model.inputs), np.concatenate(model.operating_point())
     usual = {n: trim.values.get(n, float(value)) for n, value in zip(names, point, strict=True)}
@@ -156,12 +156,13 @@ def balanced(
     began = _began(model, trim, flown, size)
     z0 = np.array(list((usual | began).values()))
     sought = acts & [name not in trim.values or name in trim.unknown for name in names]
+    held = airspeeds(model, names) if held is None else held
     free = sought | acts & [name not in held for name in names]
     known = sought & np.isin(names, list(began)) if began else sought
-    search, rows = _Search(model, z0, sought, free, known, size), acts[: len(model.states)]
+    search = _Search(model, z0, sought, free, known, size)
     usually = (np.array(list(usual.values())) - z0)[free]
     if search.rests(end := search.at(usually)) and search.rank(end) < max(sought.sum(), 1):
-        own = trim.moves or moving(model, end[0], rows, free, search.price)
+        own = trim.moves or moving(model, end[0], search.balance[1], free, search.price)
         return Balance(replace(trim, moves=own))  # as good as any
     around = sought[free] * size[free] * scattered(free.sum())
     if not (ends := search.ends([*around, usually] if sought.any() else [usually])):
@@ -171,7 +172,7 @@ def balanced(
     found = {name: values[name] for name in itertools.compress(names, sought)}
     moved = {n: value - trim.values[n] for n, value in values.items() if n not in found}
     whole = replace(trim, values=dict(trim.values) | values, unknown=())
-    whole = replace(whole, moves=moving(model, z, rows, free, search.price))
+    whole = replace(whole, moves=moving(model, z, search.balance[1], free, search.price))
     return Balance(whole, found, moved, _told(trim, found, search.doubts(ends)))
 
 
@@ -246,7 +247,8 @@ def _began(model: NonlinearModel, trim: Trim, flown: Array | None, size: Array) 
 
 def _sizes(model: NonlinearModel, start: Mapping[str, float]) -> Array:
     """What a move of each state and input counts by: the airspeed for velocities, at least 1."""
-    units, speed = UNITS | dict(model.units), max(1.0, *(abs(start.get(n, 1.0)) for n in SPEEDS))
+    units = UNITS | dict(model.units)
+    speed = max([1.0, *(abs(start[name]) for name in airspeeds(model, start))])
     own = {n: speed if units.get(n) == "m/s" else max(abs(v), 1.0) for n, v in start.items()}
     return np.array(list(own.values()))
 

@@ -12,7 +12,7 @@ import numpy as np
 from casid.checks import hint
 from casid.errors import ModelError
 from casid.model import Constraint, Model, Rows, parameter
-from casid.nonlinear.expressions import Nonlinear, balances, linearised, reference_point
+from casid.nonlinear.expressions import Nonlinear, balances, linearised, reference_point, resting
 from casid.sensors import Scalar
 from casid.values import storable
 
@@ -33,7 +33,7 @@ class Trim:
         What tables call the condition.
     unknown : tuple of str
         States and inputs that are estimated with the parameters, from these values on, so that
-        dx/dt = 0: a trim that is not measured.
+        dx/dt = 0, of states that some equation depends on: a trim that is not measured.
     speed : float
         Where tables and figures over airspeed place the condition [m/s]; NaN places it nowhere.
     moves : mapping
@@ -199,14 +199,16 @@ def _balanced(
 ) -> list[tuple[int, str]]:
     """Equations of one condition that its unknowns or the parameters have to balance.
 
-    Whatever the parameters are, but with the structure's own constants.
+    Whatever the parameters are, but with the structure's own constants; of states that rest.
     """
     lam = ca.SX.sym("lam", len(linear.parameter_names()))
     linear = linear.with_vector(lam)
     model = _own(linear, airframe)
     f = ca.vertsplit(balances(model, *point(linear, model, number, conditions)))
-    found = []
+    found, rests = [], resting(model.equations())
     for i, (name, value) in enumerate(zip(airframe.states, f, strict=True)):
+        if not rests[i]:
+            continue
         if ca.depends_on(value, lam):
             found.append((i, name))
         elif not abs(float(value)) < BALANCE:

@@ -1,6 +1,6 @@
 """Where a nonlinear structure is backed by data: the spans of its tables and of a fit's records."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -16,9 +16,19 @@ from casid.surroundings import Surroundings, surroundings
 
 MARGIN = 0.1  # of a span that a manoeuvre about its end may leave it by,
 NEARBY = 0.05  # or of the largest value: one airspeed, flown with little change, is no wall
-SPEEDS = ("u", "V")  # states that are airspeeds by name
+SPEEDS = ("u", "V")  # what is an airspeed by name, see `airspeeds`
 
 Spans: TypeAlias = Mapping[str, tuple[float, float]]  # lowest and highest value of a variable
+
+
+def airspeeds(model: Nonlinear, names: Collection[str]) -> tuple[str, ...]:
+    """Those of names that are airspeeds of a structure: u or V, an input only if it has that unit.
+
+    An input called u may be any; without a unit of its own in ``units`` it is none.
+    """
+    units = getattr(model, "units", {})
+    inputs = {name for name in model.inputs if units.get(name) != "m/s"}
+    return tuple(name for name in SPEEDS if name in names and name not in inputs)
 
 
 def tabulated(model: Nonlinear) -> dict[str, tuple[float, float]]:
@@ -56,7 +66,7 @@ def warn_beyond(model: Nonlinear, told: str, visited: Spans, flown: Spans | None
     Tables are data, and so are records; but of an airspeed only those of the fit tell parameters.
     """
     own, tables = dict(flown or {}), tabulated(model)
-    covered = joined_spans([tables, own]) | {n: own[n] for n in SPEEDS if n in own}
+    covered = joined_spans([tables, own]) | {n: own[n] for n in airspeeds(model, own)}
     said = []
     for name, (low, high) in visited.items():
         first, last = covered.get(name, (-np.inf, np.inf))
@@ -98,7 +108,7 @@ def _scheduled(
             before = spans.get(str(argument)) or (-np.inf, np.inf)
             spans[str(argument)] = max(before[0], low), min(before[1], high)
             variables[str(argument)] = argument
-    for name in (name for name in SPEEDS if name in cls.states and name not in spans):
+    for name in (name for name in airspeeds(cls, cls.states) if name not in spans):
         spans[name], variables[name] = None, x[cls.states.index(name)]
     outputs = ca.vertcat(*variables.values())
     function = ca.Function("scheduled", [ca.vertcat(*x), ca.vertcat(*u), vector], [outputs])

@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence, Set
 from typing import Any, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 from casid import declaration
+from casid.arrays import BoolArray
 from casid.checks import check_known
 from casid.errors import ModelError
 from casid.model import Rows
@@ -83,6 +85,15 @@ def linearised(model: Nonlinear, x0: Sequence[Any], u0: Sequence[Any]) -> tuple[
 def balances(model: Nonlinear, x0: Sequence[Any], u0: Sequence[Any]) -> ca.SX:
     """dx/dt (nx,) at a point of numbers or expressions."""
     return evaluated(model, x0, u0)[0]
+
+
+def resting(equations: ca.Function) -> BoolArray:
+    """States (nx,) whose dx/dt is zero in a trim: those that some equation depends on.
+
+    Positions and headings, on which none does, go on changing. Where no state acts, all rest.
+    """
+    acts = ca.DM(equations.jac_sparsity(0, 0), 1).full().any(axis=0)
+    return np.asarray(acts if acts.any() else ~acts)
 
 
 def operations(expression: ca.SX) -> list[str]:

@@ -1,5 +1,6 @@
 """Trims of a nonlinear structure at its parameter values."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,14 +11,16 @@ from casid.checks import check_known
 from casid.errors import ModelError, warn
 from casid.nonlinear.balance import APART, DETERMINED, balance_function, scattered
 from casid.nonlinear.conditions import BALANCE, Trim
+from casid.nonlinear.expressions import resting
 from casid.nonlinear.model import NonlinearModel
 
 OUT_OF_BALANCE = 1e-2  # largest |dx/dt| of a reference condition that still counts as a trim
 
 
 def imbalance(model: NonlinearModel, x: Array, u: Array) -> tuple[str, float]:
-    """The state whose dx/dt is furthest from zero at (x, u), and how far."""
+    """The state whose dx/dt is furthest from zero at (x, u), and how far; of those that rest."""
     rate = np.ravel(model.equations()(x, u, model.vector())[0].full())
+    rate = np.where(resting(model.equations()), rate, 0.0)
     worst = int(np.argmax(np.where(np.isnan(rate), np.inf, np.abs(rate))))
     return model.states[worst], float(rate[worst])
 
@@ -36,7 +39,9 @@ def warn_unbalanced(model: NonlinearModel, rests: str) -> None:
 def find_trim(
     model: NonlinearModel, known: Mapping[str, float], unknown: Sequence[str], *, name: str = ""
 ) -> Trim:
-    """States and inputs at which dx/dt = 0.
+    """States and inputs at which dx/dt = 0, but for states that no equation depends on.
+
+    Those, positions and headings, go on changing as the others say.
 
     Parameters
     ----------
@@ -71,7 +76,8 @@ def find_trim(
     found = _solutions(model, start, tuple(unknown))
     values = start | dict(zip(unknown, found[0], strict=True))
     at, free = np.array(list(values.values())), np.isin(names, unknown)
-    slopes = balance_function(model)[0](at, model.vector())[1].full()[:, free]
+    slopes = balance_function(model)[0](at, model.vector())[1].full()
+    slopes = slopes[np.ix_(resting(model.equations()), free)]
     size = np.maximum(np.abs(at[free]), 1.0)
     if (rank := np.linalg.matrix_rank(slopes * size, rtol=DETERMINED)) < len(unknown):
         warn(
@@ -95,11 +101,11 @@ def _solutions(
 
     ModelError: none.
     """
-    nx, values = len(model.states), np.array(list(start.values()))
+    rows, values = resting(model.equations()), np.array(list(start.values()))
     places = [list(start).index(name) for name in unknown]
     both, lam = balance_function(model)[0], model.vector()
     size = np.maximum(np.abs(values[places]), 1.0)
-    least = np.full(nx, np.inf)
+    least = np.full(rows.sum(), np.inf)
     found: list[Array] = []
 
     def at(unknown: Array) -> Array:
@@ -108,10 +114,10 @@ def _solutions(
         return z
 
     def balance(unknown: Array) -> Array:
-        return np.asarray(both(at(unknown), lam)[0].full().ravel())
+        return np.asarray(both(at(unknown), lam)[0].full()[rows].ravel())
 
     def slope(unknown: Array) -> Array:
-        return np.asarray(both(at(unknown), lam)[1].full()[:, places])
+        return np.asarray(both(at(unknown), lam)[1].full()[rows][:, places])
 
     starts = values[places] + size * scattered(len(places))
     for first in (each for each in starts if np.isfinite(balance(each)).all()):
@@ -131,7 +137,7 @@ def _solutions(
 def _nowhere(
     model: NonlinearModel, start: Mapping[str, float], unknown: Sequence[str], least: Array
 ) -> str:
-    """Why there is no trim: what stays out of balance (nx,), or has no value at all."""
+    """Why there is no trim: what stays out of balance of what rests, or has no value at all."""
     if not np.isfinite(least).any():
         at = ", ".join(f"{name} = {value:.4g}" for name, value in start.items())
         return (
@@ -139,8 +145,9 @@ def _nowhere(
             "ones, or hold the others, where its equations have a value"
         )
     worst = int(np.argmax(np.abs(least)))
+    state = list(itertools.compress(model.states, resting(model.equations())))[worst]
     return (
         f"{type(model).__name__} has no trim here: with {', '.join(unknown)} unknown "
-        f"d{model.states[worst]}/dt stays at {least[worst]:.3g}; make another state or input "
+        f"d{state}/dt stays at {least[worst]:.3g}; make another state or input "
         "unknown, or change what is held"
     )

@@ -1,7 +1,7 @@
 """What a report is made of: frozen values, and the sections in which stages show theirs."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from casid.bands import ModeBand, mode_bands
 from casid.channels import UNITS
 from casid.consistency.flights import Repeats
 from casid.embedding import StructureError, structure_error
+from casid.envelope import flight_condition, linear_fit
 from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
@@ -164,6 +165,22 @@ class Content:
     def fits(self) -> dict[str, AnyFit]:
         """Structured models by the names the figures use."""
         return {name: each for name, each in self.models.items() if isinstance(each, Fit)}
+
+    @cached_property
+    def linear(self) -> "Content":
+        """With fits of nonlinear structures linearised at the trim of the first validation record.
+
+        Modes are read from it; itself where there is no such fit or record.
+        """
+        judged = self.results.get("validation")
+        curved: dict[str, Fit[Any, Any]] = {
+            name: fit for name, fit in self.fits.items() if isinstance(fit.model, NonlinearModel)
+        }
+        if judged is None or not curved:
+            return self
+        at = {n: flight_condition(fit.model, judged.measured[0]) for n, fit in curved.items()}
+        flat = {name: linear_fit(fit, at[name]) for name, fit in curved.items()}
+        return replace(self, models={**self.models, **flat})
 
     @cached_property
     def bands(self) -> dict[str, tuple[ModeBand, ...]]:

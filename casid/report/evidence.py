@@ -175,10 +175,11 @@ def few_data(fit: AnyFit, content: Content) -> Iterator[Caution]:
 def _vague(fit: AnyFit, content: Content, files: Sequence[DataFile]) -> Iterator[tuple[Mode, str]]:
     """Slow modes that the records leave open, with the error of the eigenvalue if it is known.
 
-    Slow: a period, or the time constant of a real pole, is longer than any record.
+    Slow: a period, or the time constant of a real pole, is longer than any record. Those of a
+    nonlinear structure are of where it was flown, as the section of modes has them.
     """
-    longest = max(file.seconds for file in files)
-    bands = content.bands.get(content.delivered)
+    longest, flown = max(file.seconds for file in files), content.linear
+    bands, fit = flown.bands.get(content.delivered), flown.fits.get(content.delivered, fit)
     for k, mode in enumerate(modes(fit.model.system())):
         scale = mode.period if np.isfinite(mode.period) else mode.time_constant
         if not longest < scale < np.inf:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casid import report
-from casid.envelope import Envelope, envelope
+from casid.envelope import Envelope, envelope, flight_condition
 from casid.errors import ConvergenceError, ModelError, warn
 from casid.model import Model
 from casid.nonlinear.balance import unbalanced
@@ -49,14 +49,6 @@ class OverSpeed:
             if len(part) != 2:
                 raise ValueError(f'entries: {each!r}, expected such as "q by lon"')
         return [(state.strip(), channel.strip()) for state, channel in parts]
-
-
-def flight_condition(model: NonlinearModel, record: Record) -> Trim:
-    """Where a record was flown: its trim, what it measures before an input moves."""
-    known = record.total().detrend("first").trim
-    own = {name: known[name] for name in (*model.states, *model.inputs) if name in known}
-    speed = next((own[name] for name in SPEEDS if name in own), np.nan)
-    return Trim(name=f"{speed:.4g} m/s", values=own, speed=speed)
 
 
 def flight_conditions(

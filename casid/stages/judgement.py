@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from casid import report
 from casid.eigenmodes import modes
-from casid.fit import Fit
+from casid.envelope import balance_of, flight_condition
 from casid.nonlinear.balance import balanced, unbalanced
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
@@ -16,9 +16,8 @@ from casid.report.answer import predictions_told, ranked
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
 from casid.report.evidence import differences, disagreement, unexplained_records
 from casid.report.verdicts import verdicts
-from casid.stages.conditions import flight_condition
 from casid.stages.stage import Stage, Task
-from casid.validation import AnyModel, Validation, validate
+from casid.validation import Validation, validate
 
 NAMES = {OUTPUT_ERROR: "refined model"}  # of what is delivered, in words
 
@@ -101,13 +100,12 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
     fit = content.fits.get(content.delivered)
     if isinstance(own := fit.model if fit else content.model, NonlinearModel):
         trim = flight_condition(own, found.measured[0])
-        rest = balanced(own, trim, flown=fit.initial_states if fit else None)
+        rest = balance_of(fit, trim) if fit else balanced(own, trim)
         at = f"the trim of record {found.records[0]}: {_values(rest.trim)}"
         if rest.found:
             at += f", {', '.join(rest.found)} so that the equations balance, dx/dt = 0"
         doubt = rest.doubt
-        models = {name: _linear(each, trim) for name, each in content.models.items()}
-        content = replace(content, models=models)
+        content = content.linear
     found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
     said = (Caution(f"Modes: {unbalanced(content.model, [doubt])}", 6),) if doubt else ()
     values = {"modes": found_modes, "bands": content.bands, "at": at, "missed": content.missed}
@@ -123,14 +121,6 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
     ):
         more: Any = {"cautions": said} if name == "modes" else {}
         yield section(name, title, place, found, values=values, draw=draw, **more)
-
-
-def _linear(model: AnyModel, trim: Trim) -> AnyModel:
-    """A fit of a nonlinear structure as one of its linearisation; what else there is, itself."""
-    if isinstance(model, Fit) and isinstance(model.model, NonlinearModel):
-        rest = balanced(model.model, trim, flown=model.initial_states)
-        return replace(model, model=model.model.at(rest.trim))
-    return model
 
 
 def _values(trim: Trim) -> str:

@@ -11,6 +11,7 @@ from casid import (
     Execution,
     Match,
     Model,
+    NonlinearModel,
     OutputError,
     Record,
     Rows,
@@ -18,6 +19,7 @@ from casid import (
     StateSpace,
     compare_bounds,
     parameter,
+    simulate,
 )
 from casid.bounds.robust import weights
 
@@ -291,3 +293,43 @@ def test_a_wrong_estimator_or_case_is_refused_at_once():
         compare_bounds(Mixture(), [record()], cases={"free": {}}, estimator="guess")
     with pytest.raises(ValueError, match="no parameter 'z'"):
         compare_bounds(Mixture(), [record()], cases={"free": {"z": 1.0}})
+
+
+class Sinking(NonlinearModel):
+    """w' = T - c w², flown at a T that is no balance of the reference condition."""
+
+    states, inputs, outputs = ("w",), ("T",), ("w",)
+
+    c: Scalar = parameter(default=0.1, lower=0.01, upper=1.0, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [u.T - self.c * x.w**2]
+
+    def reference(self):
+        return {"w": 1.0, "T": 4.0}
+
+
+def sinking(T, seed):
+    t = 0.1 * np.arange(150)
+    u = T + 0.3 * np.sign(np.sin(1.1 * t + seed)) * (t > 1)
+    still = Record(t, u[:, None], np.zeros((150, 1)), ("T",), ("w",), f"at {T:g}")
+    record = simulate(Sinking(c=0.2), still, {"w": np.sqrt(T / 0.2)})
+    return record.with_noise({"w": 0.02}, np.random.default_rng(seed))
+
+
+def test_eigenvalues_of_a_nonlinear_structure_are_those_in_balance_where_it_was_flown(tmp_path):
+    settings = {
+        "cases": {"free": {}}, "estimator": OutputError(biases=False), "execution": HERE,
+    }  # fmt: skip
+    unseen = sinking(3.2, 2)
+    for validation, T, named in (([unseen], 3.2, "at 3.2"), ([], 1.8, "at 1.8")):
+        found = compare_bounds(Sinking(), [sinking(1.8, 1)], validation=validation, **settings)
+        case = found["free"]
+        pole = -2 * np.sqrt(case.fit.model.c * T)  # -2 c w in balance, T = c w²
+        assert case.eigenvalues[0] == pytest.approx(pole, rel=0.01)
+        assert found.linearised_at == f"the trim of record {named}, in balance"
+        assert f"linearised at {found.linearised_at}" in found.to_markdown()
+        found.to_csv(tmp_path / "bounds.csv")
+        with (tmp_path / "bounds_cases.csv").open(encoding="utf-8") as file:
+            (row,) = csv.DictReader(file)
+        assert row["linearised_at"] == found.linearised_at

@@ -262,3 +262,18 @@ def test_where_a_record_began_without_values_the_reference_is_the_start():
     trim = Trim(values={"u": 0.0, "thr": 2.0})
     rest = balanced(Rooted(), trim, flown=np.array([[-50.0, 0.0]]))
     assert (rest.doubt, rest.found) == ("", {"w": pytest.approx(4.0)})
+
+
+def test_an_input_called_u_gives_way_as_another_does():
+    class Stick(NonlinearModel):
+        """V' = d (10 - V) + u - 1 with a stick u."""
+
+        states, inputs, outputs = ("V",), ("u",), ("V",)
+
+        d: Scalar = parameter(default=0.7, lower=0.01, upper=9.0, unit="1/s")
+
+        def derivatives(self, x, u):
+            return [self.d * (10.0 - x.V) + u.u - 1.0]
+
+    rest = balanced(Stick(), Trim(values={"V": 10.01, "u": 1.0}))
+    assert (rest.doubt, rest.moved) == ("", {"u": pytest.approx(0.007)})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.swing import Swing
 
-from casid import ModelError, Trim, match
+from casid import ModelError, NonlinearModel, Scalar, StateSpace, Trim, match, parameter
 from casid.free import free_parameters
 
 
@@ -106,3 +106,28 @@ def test_an_unknown_that_is_not_named_starts_from_the_reference():
             (("a", {}), ("b", {"lon": 0.1})))  # fmt: skip
     linear = Turning().at(*both)
     assert (linear.lon_trim_1, linear.lon_trim_2) == (0.3, 0.1)
+
+
+def test_a_position_does_not_have_to_be_balanced_by_an_unknown():
+    class Position(NonlinearModel):
+        """V' = b u - a V², s' = V."""
+
+        states, inputs, outputs = ("V", "s"), ("u",), ("V", "s")
+
+        a: Scalar = parameter(default=0.1, lower=0.01, upper=1.0, unit="1/m")
+        b: Scalar = parameter(default=1.0, lower=0.1, upper=9.0, unit="m/s^2")
+
+        def derivatives(self, x, u):
+            return [self.b * u.u - self.a * x.V**2, x.V]
+
+        def reference(self):
+            return {"V": 10.0, "u": 10.0}
+
+    target = StateSpace(
+        [[-2.4, 0.0], [1.0, 0.0]], [[1.5], [0.0]], np.eye(2), np.zeros((2, 1)),
+        inputs=("u",), outputs=("V", "s"),
+    )  # fmt: skip
+    start = Position().at(Trim(values={"V": 10.0}, unknown=("u",)))
+    fit = match(start, target, norm="quadratic")
+    assert fit["a"].value == pytest.approx(0.12, rel=1e-5)  # 2 a V = 2.4
+    assert fit["u_trim"].value == pytest.approx(8.0, rel=1e-5)  # a V² / b

@@ -1,6 +1,7 @@
 """Extrapolation is said: beyond the tables of a structure, beyond the records of its fit."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,14 @@ from casid import (
     spline,
     validate,
 )
-from casid.nonlinear.coverage import joined_spans, leaves, reached, tabulated, warn_beyond
+from casid.nonlinear.coverage import (
+    airspeeds,
+    joined_spans,
+    leaves,
+    reached,
+    tabulated,
+    warn_beyond,
+)
 
 
 class Pushed(NonlinearModel):
@@ -197,3 +205,19 @@ def test_a_span_may_be_left_by_a_share_of_its_size():
 def test_a_span_may_be_left_by_a_tenth_of_what_is_covered():
     assert not leaves((-10.0, 109.0), (0.0, 100.0))
     assert leaves((0.0, 111.0), (0.0, 100.0))
+
+
+@pytest.mark.parametrize(
+    ("states", "inputs", "units", "expected"),
+    [
+        (("u", "w"), ("lon",), {}, ("u",)),
+        (("V", "w"), ("u",), {}, ("V",)),  # this u is a stick, whatever its name
+        (("V", "w"), ("u",), {"u": "-"}, ("V",)),
+        (("w",), ("V",), {"V": "m/s"}, ("V",)),
+        (("w",), ("V",), {}, ()),
+    ],
+)
+def test_airspeeds_are_states_or_inputs_of_that_unit(states, inputs, units, expected):
+    model = SimpleNamespace(states=states, inputs=inputs, units=units)
+    assert airspeeds(model, (*states, *inputs, "V_wind")) == expected
+    assert airspeeds(model, ()) == ()

@@ -13,10 +13,12 @@ from casid import (
     NonlinearModel,
     Record,
     Scalar,
+    Trim,
     equations_of,
     find_trim,
     parameter,
 )
+from casid.nonlinear.balance import balanced
 from casid.shooting.simulation import simulate
 from models.longitudinal_aero import LongitudinalAero
 
@@ -136,3 +138,43 @@ def test_a_trim_that_was_found_is_held_as_a_measured_one():
     assert replace(linear, k=k).system().A[1, 0] == pytest.approx(
         k * trim.values["alpha"] + 9.80665 / 400
     )
+
+
+class Position(NonlinearModel):
+    """V' = b u - a V², s' = V: in balance b u = a V², and the position runs on."""
+
+    states, inputs, outputs = ("V", "s"), ("u",), ("V", "s")
+
+    a: Scalar = parameter(default=0.12, lower=0.0, upper=1.0, unit="1/m")
+    b: Scalar = parameter(default=1.5, lower=0.0, upper=9.0, unit="m/s^2")
+
+    def derivatives(self, x, u):
+        return [self.b * u.u - self.a * x.V**2, x.V]
+
+    def reference(self):
+        return {"V": 10.0, "u": 8.0}
+
+
+def test_a_position_need_not_rest():
+    model = Position()
+    assert find_trim(model, {"V": 20.0}, ["u"]).values["u"] == pytest.approx(32.0)
+    t = 0.05 * np.arange(40)
+    record = Record(t, np.full((40, 1), 8.0), np.zeros((40, 0)), ("u",), ())
+    simulate(model, record)  # a warning would raise
+    assert equations_of(model, 1)
+    with pytest.raises(ModelError, match="dV/dt stays at"):
+        find_trim(replace(model, b=0.0), {"V": 20.0}, ["u"])
+
+
+def test_a_structure_of_nothing_but_positions_rests():
+    class Drift(NonlinearModel):
+        """s' = u - w."""
+
+        states, inputs, outputs = ("s",), ("u",), ("s",)
+        w: Scalar = parameter(default=3.0, lower=0.0, upper=9.0, unit="m/s")
+
+        def derivatives(self, x, u):  # noqa: ARG002
+            return [u.u - self.w]
+
+    assert find_trim(Drift(), {}, ["u"]).values["u"] == pytest.approx(3.0)
+    assert balanced(Drift(), Trim(values={})).found == {"u": pytest.approx(3.0)}

@@ -11,6 +11,7 @@ from truths.roll_study import Truth, write_study
 
 from casid import (
     Model,
+    NonlinearModel,
     Record,
     Rows,
     Scalar,
@@ -18,10 +19,11 @@ from casid import (
     parameter,
     read_study,
     run_study,
+    simulate,
     validate,
 )
 from casid.bands import mode_bands
-from casid.report.content import OUTPUT_ERROR
+from casid.report.content import OUTPUT_ERROR, Content, DataFile
 from casid.report.evidence import few_data, noise_levels, unexplained_records
 
 MEASURED = (
@@ -123,13 +125,50 @@ def test_a_mode_slower_than_the_records_is_named_unless_its_error_is_small(dampi
     row = SimpleNamespace(value=damping, lower=-np.inf, upper=np.inf, active=False)
     fit = Estimate(model=Damped(Lp=damping), free_names=("Lp",), covariance=covariance, row=row)
     bands = {} if error is None else {OUTPUT_ERROR: mode_bands(fit)}
-    content = SimpleNamespace(data=[flown, flown], delivered=OUTPUT_ERROR, bands=bands)
+    content = SimpleNamespace(data=[flown, flown], delivered=OUTPUT_ERROR, bands=bands, fits={})
+    content.linear = content
     texts = [each.text for each in few_data(fit, content)]
     assert len(texts) == said
     for text in texts:
         assert "records of 20 s at most, 40 s together" in text
         assert "time constant 50 s" in text
         assert ("eigenvalue ±150%" in text) == (error is not None)
+
+
+class Sinking(NonlinearModel):
+    """w' = T - c w², in balance with the pole -2 c w; the reference is off it, where w is fast."""
+
+    states, inputs, outputs = ("w",), ("T",), ("w",)
+
+    c: Scalar = parameter(default=0.01, lower=0.001, upper=0.1, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [u.T - self.c * x.w**2]
+
+    def reference(self):
+        return {"w": 50.0}
+
+
+def test_slow_modes_of_a_nonlinear_structure_are_those_where_it_was_flown():
+    t = 0.1 * np.arange(200)
+    u = (0.04 + 0.02 * np.sin(0.5 * t) * (t > 2))[:, None]
+    still = Record(t, u, np.zeros((200, 1)), ("T",), ("w",), "slow")
+    record = simulate(Sinking(), still, {"w": 2.0}).with_noise(
+        {"w": 0.01}, np.random.default_rng(2)
+    )
+    fit = output_error(Sinking(), record, biases=False)
+    vague = replace(fit, covariance=np.array([[0.02**2]]))  # of c, twice its value
+    file = DataFile(
+        role="identification", name="slow", path="", sha256="", samples=1000, seconds=19.9,
+        noise=False,
+    )  # fmt: skip
+    content = Content(
+        title="", model=Sinking(), results={"validation": SimpleNamespace(measured=(record,))},
+        models={OUTPUT_ERROR: vague}, model_files={}, data=(file,),
+    )  # fmt: skip
+    (told,) = (each.text for each in few_data(vague, content))  # and no warning, which would raise
+    slow = 1 / (2 * np.sqrt(fit.model.c * 0.04))
+    assert slow == pytest.approx(float(re.search(r"time constant ([\d.]+) s", told)[1]), rel=0.02)
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from casid import (
     write_csv,
 )
 from casid.bands import mode_bands
-from casid.stages.conditions import CONDITIONS, OverSpeed, flight_condition, flight_conditions
-from casid.stages.judgement import _linear
+from casid.envelope import flight_condition, linear_fit
+from casid.stages.conditions import CONDITIONS, OverSpeed, flight_conditions
 from casid.stages.listing import STAGES
 from casid.stages.stage import Task, fitting
 from casid.structure.modelfile import load_model
@@ -221,7 +221,9 @@ def test_a_study_of_two_speeds_runs_from_records_to_the_figure(study):
     assert "were left out" in page
     assert page.count("linearised at the trim of record unseen: u 30") == 2
     fitted = results["output_error"]
-    at = _linear(fitted, flight_condition(fitted.model, read_records(told)["identification"][-1]))
+    at = linear_fit(
+        fitted, flight_condition(fitted.model, read_records(told)["identification"][-1])
+    )
     slope = (truth[-1, 0] - truth[0, 0]) / (found.speed[-1] - found.speed[0])
     assert at.model.system().poles().real.min() == pytest.approx(-1.5 + 10 * slope, abs=0.1)
     assert max(each.real_std for each in mode_bands(at)) > 0
