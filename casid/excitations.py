@@ -32,6 +32,7 @@ from casid.records import Records, same_channels, stretches
 from casid.repetition import without_repeats
 from casid.samples import runs
 from casid.threads import one_thread
+from casid.unanswered import unanswered
 from casid.values import storable
 from casid.vector_autoregression import VectorAutoregression, of_flights, of_records
 
@@ -45,9 +46,6 @@ ANSWER = 0.5  # share of an output that outside inputs make, and
 COHERENT = 0.85  # that goes with the inputs, below both of which it does not answer them
 APART = 0.4  # of an angular rate: if less goes with the inputs it is disturbed
 SINGULAR = 1e-9  # relative power of an innovation that no noise drives
-WINDOW = 2.0  # s in which inputs that move are to be answered
-STILL = 0.02  # of its deviation over the record, below which an output rests
-MOVING = 0.5  # of an input's deviation, above which it moves
 
 
 @storable
@@ -237,9 +235,11 @@ class Flights:
 def flights(records: Records, *, together: bool = False) -> Flights:
     """Autoregressions of records of the same channels; ValueError as of `excitation`.
 
-    One serves all ``together``, or each has its own where they differ.
+    One serves all ``together``, or each has its own where they differ. A record without any
+    measured output tells nothing of them, unless there is no other.
     """
-    parts = [even(part) for part in stretches(records)]
+    whole = stretches(records)
+    parts = [even(part) for part in whole if np.isfinite(part.y).any()] or list(map(even, whole))
     same_channels(parts)
     parts = moving(parts)
     same_channels(parts)
@@ -272,7 +272,8 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     ValueError
         Records of different channels, or too short.
     """
-    flown = flights([without_repeats(part) for part in stretches(records)])
+    whole = stretches(records)
+    flown = flights([without_repeats(part) for part in whole])
     parts, found, dt = flown.parts, flown.models, flown.dt
     if omega is None:
         longest = max(part.duration for part in parts)
@@ -289,7 +290,7 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
         answer=answers[0], coherence=np.maximum(coherence, 0.0),
         within=occupied_band(parts, omega),
         lags=max(len(each.A) for each in found),
-        unanswered=tuple(span for part in parts for span in unanswered(part)),
+        unanswered=tuple(span for part in whole for span in unanswered(part)),
         singular=flown.singular,
     )  # fmt: skip
 
@@ -321,22 +322,6 @@ def even(record: Record) -> Record:
         record = record.resample(record.dt)
     whole, _ = filled(record)
     return Record(whole.t, whole.u, np.nan_to_num(whole.y), whole.inputs, whole.outputs, whole.name)
-
-
-def unanswered(record: Record) -> list[tuple[str, float, float]]:
-    """Where inputs move and all outputs rest, for a window or longer; name, from and to."""
-    n = max(8, round(WINDOW / record.dt))
-    rest, move = STILL * record.y.std(axis=0), MOVING * record.u.std(axis=0)
-    found: list[tuple[str, float, float]] = []
-    for a in range(0, record.N - n + 1, n):
-        u, y = record.u[a : a + n], record.y[a : a + n]
-        if (y.std(axis=0) > rest).any() or not (u.std(axis=0) > move).any():
-            continue
-        start, end = float(record.t[a]), float(record.t[a + n - 1])
-        if found and start - found[-1][2] < 2 * record.dt:
-            start = found.pop()[1]
-        found.append((record.name, start, end))
-    return found
 
 
 def occupied_band(records: Sequence[Record], omega: Array) -> BoolArray:

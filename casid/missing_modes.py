@@ -9,7 +9,7 @@ import scipy
 from casid.arrays import BoolArray, ComplexArray
 from casid.model import Model
 from casid.nearest import BoxResponse
-from casid.subspace.blackbox import BlackBox
+from casid.subspace.blackbox import BlackBox, passed
 from casid.subspace.refinement import ResponseUncertainty
 from casid.values import storable
 
@@ -61,25 +61,30 @@ class Lacking:
     @classmethod
     def of(cls, box: BlackBox, model: Model, target: BoxResponse) -> "Lacking":
         """Those that are known at all."""
-        system = box.system if box.system.dt is None else box.continuous().system
+        # A discrete pole that is not above zero is of no mode in continuous time, and too fast for
+        # any structure.
+        system, h = box.system, box.system.dt
         rows = [system.outputs.index(name) for name in model.outputs]
         columns = [system.inputs.index(name) for name in model.inputs]
         poles, right = np.linalg.eig(system.A)
         C, B = system.C[rows] @ right, np.linalg.solve(right, system.B[:, columns].astype(complex))
-        poles, C, B = (part[..., poles.imag >= 0] for part in (poles, C, B.T))
+        told = (poles.imag >= 0) & ((h is None) | (poles.imag > 0) | (poles.real > 0))
+        poles, C, B = (part[..., told] for part in (poles, C, B.T))
+        own = poles if h is None else np.log(poles) / h
+        s = 1j * target.omega[:, None, None]
+        x, held = (s, 1.0) if h is None else (np.exp(s * h), passed(target.omega, h, box.hold))
         found, parts = [], []
-        for k in _unmatched(poles, model.system().poles()):
-            mode = _with_errors(complex(poles[k]), box)
+        for k in _unmatched(own, model.system().poles()):
+            mode = _with_errors(complex(own[k]), box)
             error = float(np.nan_to_num(np.hypot(mode.real_std, mode.imag_std)))
             doubtful = np.isclose(mode.pole, box.doubtful).any()
             if error < KNOWN * abs(mode.pole) and not doubtful:
                 residue = target.scale * np.outer(C[:, k], B[:, k])
-                s = 1j * target.omega[:, None, None]
-                part = residue / (s - mode.pole)
+                part = residue / (x - poles[k])
                 if mode.pole.imag:
-                    part = part + residue.conj() / (s - mode.pole.conjugate())
+                    part = part + residue.conj() / (x - poles[k].conjugate())
                 found.append(mode)
-                parts.append(part)
+                parts.append(part / held)
         shape = (0, *target.G.shape)
         return cls(tuple(found), np.array(parts) if parts else np.zeros(shape, dtype=complex))
 

@@ -7,13 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.linalg
-from truths.closed_roll import TRUTH, NoSideslip, campaign, off
+from truths.closed_roll import NOISE, TRUTH, NoSideslip, campaign, off
 
 from casid import (
     DataWarning,
     Excitation,
     FrequencyResponse,
     Model,
+    Record,
     Rows,
     Scalar,
     distances,
@@ -228,6 +229,54 @@ def test_a_black_box_that_is_no_measure_is_told():
     doubted = replace(box(1), biased=True, remarks=("Noise fed back biases it.",))
     with pytest.warns(DataWarning, match="no measure of a structure.*Noise fed back biases it"):
         distances(TRUTH, doubted)
+
+
+def staircase(seed, late, h=0.02, N=1500, dwell=9):
+    """Sticks that are held from sample to sample and felt ``late`` samples later, by hand."""
+    rng, A, B, C, D = np.random.default_rng(seed), *map(np.array, matrices(TRUTH))
+    block = np.zeros((5, 5))
+    block[:3] = np.hstack([A, B])
+    step = scipy.linalg.expm(h * block)
+    r = np.repeat(rng.choice([-0.1, 0.0, 0.1], size=(N // dwell + 1, 2)), dwell, axis=0)[:N]
+    x, u, y = np.zeros(3), np.zeros((late + N, 2)), np.zeros((N, 3))
+    for k in range(N):
+        u[late + k] = r[k] - [0.01 * x[1] + 0.03 * x[2], 0.0]
+        felt = np.array([u[k, 0], u[late + k, 1]])
+        y[k] = C @ x + D @ felt
+        x = step[:3, :3] @ x + step[:3, 3:] @ felt
+    names = TRUTH.inputs, TRUTH.outputs, f"staircase {seed}"
+    return Record(h * np.arange(N), u[late:], y, *names, hold="zoh").with_noise(NOISE, rng)
+
+
+def matrices(model):
+    return model.A(), model.B(), model.C(), model.D()
+
+
+@pytest.mark.parametrize("first", [0, 10])
+@pytest.mark.slow
+def test_whole_samples_of_delay_are_no_fault_where_a_direct_term_feels_a_staircase(first):
+    # Its samples are those of any delay up to one sample less, and of the black box's as well.
+    flown = [staircase(first + k, late=4) for k in range(4)]
+    seen = pbsid(flown, order=6, pole=10.0, past=8, feedthrough=["ay"])
+    assert distances(replace(TRUTH, tau=0.08), seen).enough
+    assert not distances(NoSideslip(), seen).enough
+
+
+def test_a_black_box_of_samples_without_a_continuous_equivalent_measures_a_structure():
+    plant, h = box(1).system, 0.02
+    block = np.zeros((8, 8))
+    block[:6] = np.hstack([plant.A, plant.B])
+    step = scipy.linalg.expm(h * block)
+    A = scipy.linalg.block_diag(step[:6, :6], -0.5)  # a mode that no continuous model has
+    B, C = np.vstack([step[:6, 6:], np.full((1, 2), 1e-6)]), np.hstack([plant.C, np.ones((3, 1))])
+    system = replace(plant, A=A, B=B, C=C, dt=h, states=())
+    sampled = replace(box(1), system=system, K=np.zeros((7, 3)), hold="zoh", interval=h)
+    with pytest.raises(ValueError, match="no continuous equivalent"):
+        sampled.continuous()
+    assert distances(TRUTH, sampled, band=BAND).enough
+    found = distances(NoSideslip(), sampled, band=BAND)
+    own, same = found.faults[0].missing, missed().faults[0].missing
+    assert abs(own.pole - same.pole) < 1e-6 * abs(same.pole)
 
 
 def test_a_black_box_of_samples_is_compared_with_measurements_without_its_hold():

@@ -12,7 +12,7 @@ from casid.excitations import Excitation
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold
 from casid.subspace.columns import Segment
-from casid.subspace.held import undiscretised
+from casid.subspace.held import discretised, undiscretised
 from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.settings import OrderSelection
@@ -187,12 +187,11 @@ class BlackBox(Shown):
         G = self.system.response(omega)
         if self.system.dt is None:
             return G
-        half = np.asarray(omega)[:, None, None] * self.system.dt / 2
-        lag = np.sinc(half / np.pi)
+        held = passed(omega, self.system.dt, self.hold)
         if self.hold == "foh":
-            return np.asarray(G / lag**2)
-        direct = self.system.D * np.exp(-2j * half / self.system.dt * self.system.delay)
-        return np.asarray((G - direct) / (lag * np.exp(-1j * half)) + direct)
+            return np.asarray(G / held)
+        direct = self.system.D * np.exp(-1j * np.asarray(omega)[:, None, None] * self.system.delay)
+        return np.asarray((G - direct) / held + direct)
 
     def images(self, omega: Array) -> Array:
         """How far samples leave the response open, (K, ny, nu), as held inputs have images.
@@ -200,14 +199,26 @@ class BlackBox(Shown):
         Samples show the sum of G at ω and at ω + 2πk/h, weighted by what the hold passes: ω over
         ω + 2πk/h, squared for inputs in straight lines. There G is taken to be 3 dB below that at a
         quarter of the sampling frequency, of any phase, and so is that of a model of the samples.
+
+        A direct term passes all images of a staircase, which delayed by whole samples are in phase:
+        the samples are those of any delay up to one sample less. Where one is free, its images are
+        those of as much as G is at that frequency, and the model's are its own.
         """
+        omega = np.asarray(omega, dtype=float)
         if not self.interval:
             return np.zeros((len(omega), len(self.system.outputs), len(self.system.inputs)))
         power, rate = (1 if self.hold == "zoh" else 2), 2 * np.pi / self.interval
         k = np.delete(np.arange(-IMAGES, IMAGES + 1), IMAGES)
-        passed = (np.asarray(omega)[:, None] / np.abs(omega[:, None] + k * rate)) ** power
+        share = (omega[:, None] / np.abs(omega[:, None] + k * rate)) ** power
         beyond = np.abs(self.response(np.array([rate / 4])))
-        return np.asarray(np.linalg.norm(passed, axis=1)[:, None, None] * beyond)
+        left = np.linalg.norm(share, axis=1)[:, None, None] * beyond
+        if self.hold == "foh":
+            return np.asarray(left)
+        held = passed(omega, self.interval, "zoh")
+        sampled = self.system if self.system.dt else discretised(self.system, self.interval, "zoh")
+        own = np.abs(sampled.response(omega) / held - self.response(omega))
+        direct = np.hypot(np.abs(1 / held - 1) * beyond, own)
+        return np.asarray(np.where(self.feedthrough, np.maximum(direct, left), left))
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
         """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
@@ -262,6 +273,13 @@ class BlackBox(Shown):
         predictor, _ = from_zoh(system.A - self.K @ system.C, system.B, system.dt)
         K = np.linalg.lstsq(system.C.T, (found.A - predictor).T, rcond=None)[0].T
         return replace(self, system=found, K=K)
+
+
+def passed(omega: Array, h: float, hold: Hold) -> ComplexArray:
+    """What a hold of inputs over ``h`` [s] passes of them at frequencies (K,), (K, 1, 1)."""
+    half = np.asarray(omega)[:, None, None] * h / 2
+    lag = np.sinc(half / np.pi)
+    return np.asarray(lag**2 + 0j if hold == "foh" else lag * np.exp(-1j * half))
 
 
 def _check(box: BlackBox) -> None:

@@ -14,7 +14,7 @@ from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.checks import check_known
 from casid.record import Record
-from casid.samples import runs
+from casid.samples import known_mean, runs
 from casid.subspace.laguerre import project_blocks, support
 from casid.subspace.predictor import Stack, accumulate, triangular
 from casid.values import storable
@@ -243,7 +243,7 @@ def check_independent(records: Sequence[Record]) -> None:
     # Nothing then tells their effects apart, and the regressions divide by rounding.
     for kind in ("input", "output"):
         values = [record.u if kind == "input" else record.y for record in records]
-        whole = np.vstack([v - np.nanmean(v, axis=0) for v in values if len(v) > 1])
+        whole = np.vstack([v - known_mean(v) for v in values if len(v) > 1])
         whole = whole[np.isfinite(whole).all(axis=1)]
         size = np.linalg.norm(whole, axis=0)
         moving = np.flatnonzero(size > 0)

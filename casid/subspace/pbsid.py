@@ -164,7 +164,7 @@ class Pbsid:
                 break  # prediction errors, which it did not call for before: the doubt remains
             settings, estimate = raised, richer
         _check_unstable(estimate.system, settings.pole)
-        _check_used(campaign.segments(settings.past, settings.pole))
+        _check_used(campaign.records, campaign.segments(settings.past, settings.pole))
         if selection and settings != selection.chosen:
             selection = replace(selection, chosen=settings)
         return self._black_box(campaign, settings, estimate, selection)
@@ -341,9 +341,9 @@ def _check_unstable(system: StateSpace, a: float) -> None:
         )
 
 
-def _check_used(segments: tuple[Segment, ...]) -> None:
+def _check_used(records: Sequence[Record], segments: tuple[Segment, ...]) -> None:
     """Warn of records that gave nothing."""
-    used = {each.record: 0.0 for each in segments}
+    used = {record.name: 0.0 for record in records}
     for each in segments:
         used[each.record] += each.used
     if idle := [name for name, seconds in used.items() if seconds == 0]:

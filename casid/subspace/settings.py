@@ -177,13 +177,15 @@ def select_order(
 
 def choose_projections(campaign: Campaign, grid: Grid) -> OrderSelection:
     """`select_order` of a campaign."""
-    records, ny = campaign.records, len(campaign.sy)
+    records, ny = _measured(campaign.records), len(campaign.sy)
     poles = [float(a) for a in grid.poles] or usable_poles(records)
     pasts = grid.pasts or PASTS
     orders = grid.orders or _default_orders(ny, sorted(pasts)[len(pasts) // 2] * ny)
-    held_out = held_out_suffices(records)
-    search = _held_out_search if held_out else _akaike_search
-    tried = search(campaign, Grid(orders, pasts, poles, grid.regularisations or REGULARISATIONS))
+    grid = Grid(orders, pasts, poles, grid.regularisations or REGULARISATIONS)
+    held_out = held_out_suffices(_projected(campaign, grid))
+    tried = _held_out_search(campaign, grid) if held_out else []
+    if not tried:  # nothing to hold out, or without it the rest is too short to be identified
+        held_out, tried = False, _akaike_search(campaign, grid)
     if not tried:
         raise ValueError(
             f"no settings can be identified from {len(records)} record(s), the longest of "
@@ -193,7 +195,7 @@ def choose_projections(campaign: Campaign, grid: Grid) -> OrderSelection:
     tried = with_errors(tried)
     chosen = _parsimonious(tried)
     if held_out and clear_bandwidth(records)[1]:
-        chosen = _likeliest(campaign, [c for c in tried if c.order == chosen.order], poles)
+        chosen = _likeliest(campaign, [c for c in tried if c.order == chosen.order], grid)
     return OrderSelection(
         chosen=chosen,
         candidates=tuple(tried),
@@ -202,21 +204,41 @@ def choose_projections(campaign: Campaign, grid: Grid) -> OrderSelection:
     )
 
 
+def _measured(records: Sequence[Record]) -> Sequence[Record]:
+    """Those in which every output is measured at some time; all, if there are none."""
+    # What is never measured is a gap from end to end: such a record gives no projections.
+    return [r for r in records if np.isfinite(r.y).any(axis=0).all()] or records
+
+
 def held_out_suffices(records: Sequence[Record]) -> bool:
     """Whether every input is excited in two records or more, so that one may be held out."""
     std = np.array([np.std(record.u, axis=0) for record in records])
-    return bool(np.all((std >= EXCITED * std.max(axis=0)).sum(axis=0) >= 2))
+    return len(std) > 1 and bool(np.all((std >= EXCITED * std.max(axis=0)).sum(axis=0) >= 2))
 
 
-def _transforms(campaign: Campaign, poles: Sequence[float]) -> list[tuple[Spectrum, ...]]:
-    """Fourier transforms of every record, as the refinement sees them, for all poles alike."""
-    each = [slice(i, i + 1) for i in range(len(campaign.records))]
-    return [campaign.spectra(min(poles), HIGHEST * max(poles), one) for one in each]
+def _projected(campaign: Campaign, grid: Grid) -> list[Record]:
+    """Records that the shortest kernels fit in: others are of no use to any of the candidates."""
+    a = max(grid.poles)
+    shortest = support(a, min(grid.pasts))
+    each = ((r, campaign.pieces(a, slice(i, i + 1))) for i, r in enumerate(campaign.records))
+    return [r for r, pieces in each if any(p.t[-1] - p.t[0] >= shortest for p in pieces)]
+
+
+def _transforms(campaign: Campaign, grid: Grid) -> list[tuple[Spectrum, ...]]:
+    """Fourier transforms of every record, as the refinement sees them, for all poles alike.
+
+    None of a record too short for projections, by which no candidate is to be judged.
+    """
+    low, high, used = min(grid.poles), HIGHEST * max(grid.poles), _projected(campaign, grid)
+    return [
+        campaign.spectra(low, high, slice(i, i + 1)) if record in used else ()
+        for i, record in enumerate(campaign.records)
+    ]
 
 
 def _held_out_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
     """Candidates by leaving out whole records, settings one after the other."""
-    score = _HeldOut(campaign, _transforms(campaign, grid.poles))
+    score = _HeldOut(campaign, _transforms(campaign, grid))
     first = sorted(grid.pasts)[len(grid.pasts) // 2]
     rest = [past for past in grid.pasts if past != first]
     if tried := score(replace(grid, pasts=[first])):
@@ -246,7 +268,7 @@ class _HeldOut:
         known = [i for i, own in enumerate(self.data) if own]
         folds = [known[i::FOLDS] for i in range(min(FOLDS, len(known)))]
         found = []
-        for windows, order in product(grid.windows(self.campaign.records), grid.orders):
+        for windows, order in product(grid.windows(_measured(self.campaign.records)), grid.orders):
             models = [_model(self.campaign, order, windows, fold) for fold in folds]
             values = [
                 _log_power(model, [s for i in fold for s in self.data[i]], self.campaign)
@@ -260,10 +282,10 @@ class _HeldOut:
 
 def _akaike_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
     """Candidates by the corrected Akaike criterion of rough models, `STARTS` an order."""
-    data = [own for own in _transforms(campaign, grid.poles) if own]
+    data = [own for own in _transforms(campaign, grid) if own]
     direct = int(campaign.mask.sum())
     judge = partial(information_criteria, data=data, su=campaign.su, sy=campaign.sy, direct=direct)
-    windows = grid.windows(campaign.records)
+    windows = grid.windows(_measured(campaign.records))
     tried = []
     for order in grid.orders if data else ():
         starts = [(w, _model(campaign, order, w)) for w in windows]
@@ -352,12 +374,12 @@ def _parsimonious(tried: Sequence[Candidate]) -> Candidate:
     return min((c for c in fair if c.order == lowest), key=lambda c: c.score)
 
 
-def _likeliest(campaign: Campaign, tried: Sequence[Candidate], poles: Sequence[float]) -> Candidate:
+def _likeliest(campaign: Campaign, tried: Sequence[Candidate], grid: Grid) -> Candidate:
     """Of the best candidates of every pole, of one order, that of the likeliest refined model."""
     # What is held out is predicted by models that are not refined, from which much noise hides that
     # the refinement of some ends at a lower maximum. Where noise is small, the likelihood rather
     # tells which model fits what is not linear.
-    data = [own for own in _transforms(campaign, poles) if own]
+    data = [own for own in _transforms(campaign, grid) if own]
     direct = int(campaign.mask.sum())
     judge = partial(information_criteria, data=data, su=campaign.su, sy=campaign.sy, direct=direct)
     found = []

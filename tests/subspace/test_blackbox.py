@@ -113,13 +113,34 @@ def lagged(hold, dt=0.1, a=4.0):
     ("hold", "most"), [("zoh", (1e-3, 0.01, 0.07)), ("foh", (1e-6, 1e-4, 4e-3))]
 )
 def test_a_response_of_samples_is_that_to_inputs_that_are_not_held(hold, most):
-    box = replace(known_black_box(lagged(hold)), hold=hold, interval=0.1)
+    strict = {"feedthrough": np.zeros((1, 1), dtype=bool)}
+    box = replace(known_black_box(lagged(hold)), hold=hold, interval=0.1, **strict)
     omega = np.array([0.1, 1.0, 5.0, 20.0])
     G = 1 / (1j * omega + 4)
     off, left = np.abs(box.response(omega)[:, 0, 0] - G), box.images(omega)[:, 0, 0]
     assert (off[:3] <= left[:3]).all(), "what goes on between samples was told too small"
     assert (left[:3] < np.array(most) * np.abs(G[:3])).all()
     assert not replace(box, interval=None).images(omega).any()
+
+
+FAST = StateSpace([[-40.0]], [[80.0]], [[1.0]], [[-1.0]], None, ("u",), ("y",))  # (40 - s)/(40 + s)
+LATE = StateSpace([[0.0, 0.0], [1.0, 0.0]], [[1.0], [0.0]], [[0.0, 1.0]], [[0.0]], 0.02)  # z^-2
+
+
+@pytest.mark.parametrize("system", [FAST, LATE], ids=["continuous", "discrete"])
+def test_what_whole_samples_of_delay_and_a_direct_term_make_of_a_staircase_is_left_open(system):
+    # Direct terms, each delayed by whole samples, can make the same samples as any model: then the
+    # response is that of the samples, here summed over those of a pulse.
+    h, omega = 0.02, np.array([0.5, 2.0, 5.0, 12.0])
+    u = np.eye(1, 400)[0]
+    pulse = system.simulate(h * np.arange(400), u[:, None], hold="zoh")[:, 0]
+    G = np.exp(-1j * h * np.outer(omega, np.arange(400))) @ pulse
+    box = replace(known_black_box(system), hold="zoh", interval=h)
+    off, left = np.abs(box.response(omega)[:, 0, 0] - G), box.images(omega)[:, 0, 0]
+    assert (off < 1.5 * left).all(), "what goes on between samples was told too small"
+    assert (left < omega * h).all()  # a sample of delay
+    strict = replace(box, feedthrough=np.zeros((1, 1), dtype=bool)).images(omega)[:, 0, 0]
+    assert (strict < off / 1.5).all()
 
 
 def test_a_black_box_measures_unless_its_errors_do_not_hold():

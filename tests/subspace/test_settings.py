@@ -6,10 +6,10 @@ from truths.systems import OMEGA, campaign, relative_error, unstable_plant
 from truths.uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 
 from benchmarks import bo105
-from casid import Record, StateSpace, pbsid, read_csv, select_order
+from casid import DataWarning, Record, StateSpace, pbsid, read_csv, select_order
 from casid.subspace.campaign import Campaign
 from casid.subspace.poles import usable_poles
-from casid.subspace.settings import PATIENCE, _transforms, best_of, held_out_suffices
+from casid.subspace.settings import PATIENCE, Grid, _transforms, best_of, held_out_suffices
 
 FAST = np.geomspace(4.0, 12.0, 20)  # rad/s
 GRID = {"orders": [3, 4, 5, 6, 7], "poles": [6.0, 8.0], "pasts": [8, 10]}
@@ -77,7 +77,8 @@ def test_an_output_of_few_samples_beside_a_noisy_one_is_not_all_gaps():
 
 def test_every_record_is_transformed_alone_and_up_to_twice_the_fastest_pole():
     flown = [campaign(records=1, duration=T)[0] for T in (12.0, 18.0, 24.0)]
-    for record, lines in zip(flown, _transforms(Campaign.of(flown, True), [4.0, 6.0]), strict=True):
+    grid = Grid((), (8, 10), (4.0, 6.0), ())
+    for record, lines in zip(flown, _transforms(Campaign.of(flown, True), grid), strict=True):
         (own,) = lines
         every = 2 * np.pi / record.duration
         np.testing.assert_allclose(own.omega, every * np.arange(1, int(12.0 / every) + 1))
@@ -120,6 +121,30 @@ def test_one_record_is_judged_by_the_information_criterion():
     found = select_order(record, feedthrough=["z"], **GRID)
     assert found.criterion == "AICc"
     assert 4 <= found.chosen.order <= 6
+
+
+def without_outputs(record):
+    return replace(record, y=np.full_like(record.y, np.nan), name="lost")
+
+
+@pytest.mark.parametrize(
+    "useless",
+    [lambda record: replace(record.take(slice(30)), name="lost"), without_outputs],
+    ids=["short", "missing"],
+)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_record_without_projections_decides_nothing_and_is_named(useless):
+    flown = campaign(noise=0.02, records=2, duration=30.0)
+    alone = select_order(flown[:1], feedthrough=["z"], **GRID)
+    both = select_order([flown[0], useless(flown[1])], feedthrough=["z"], **GRID)
+    assert both.criterion == alone.criterion == "AICc"
+    assert both.chosen.order == alone.chosen.order
+    settings = settings_of(both.chosen)
+    with pytest.warns(DataWarning, match="nothing of record lost is used"):
+        found = pbsid([flown[0], useless(flown[1])], feedthrough=["z"], order=settings["order"])
+    one = pbsid(flown[0], feedthrough=["z"], **settings).system
+    size = np.linalg.norm(one.response(OMEGA))
+    assert np.linalg.norm(found.system.response(OMEGA) - one.response(OMEGA)) < 0.02 * size
 
 
 def test_orders_are_tried_until_some_in_a_row_are_no_better():
