@@ -73,15 +73,23 @@ def with_steps_told(after: R, before: Flown, lag: Mapping[str, float]) -> R:
     return after
 
 
-def with_rest_told(after: R, before: Flown) -> R:
-    """A record of some samples of ``before``, with a warning of inputs that moved between these."""
+def lost_between(after: Flown, before: Flown) -> dict[str, float]:
+    """Share of its deviation that an input loses with samples left out of ``before``, if it does.
+
+    Inputs of which what is left tells nearly all are not named.
+    """
     lost = {}
     for channel, x, new in zip(before.inputs, before.u.T, after.u.T, strict=True):
         off = at_instants(after.t, new, before.t, after.hold) - x
         known = np.isfinite(off)
         if known.any() and (share := np.std(off[known]) / max(np.std(x[known]), 1e-300)) > LEFT_OUT:
             lost[channel] = float(share)
-    if lost:
+    return lost
+
+
+def with_rest_told(after: R, before: Flown) -> R:
+    """A record of some samples of ``before``, with a warning of inputs that moved between these."""
+    if lost := lost_between(after, before):
         dt = float(np.median(np.diff(before.t)))
         warn(
             f"record {after.name!r}: between the samples that are kept {', '.join(lost)} "

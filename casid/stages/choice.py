@@ -21,6 +21,7 @@ from casid.record import Record
 from casid.records import several
 from casid.report.content import CHOSEN as LABEL
 from casid.report.content import Caution, Content, Section, section
+from casid.rereading import lost_between
 from casid.shooting.output_error import OutputError
 from casid.stages.stage import Stage, Task
 from casid.subspace.pbsid import Pbsid
@@ -221,12 +222,15 @@ def _records(task: Task) -> tuple[tuple[Record, ...], tuple[str, ...]]:
 
 
 def _decimation(task: Task) -> int:
-    """Of the identification's records, to the sampling of the refinement."""
+    """Of the identification's records, to the rate of the refinement; 1 if inputs lose by it."""
     fine, coarse = (
         min((each.dt for each in task.roles.get(role, ())), default=np.inf)
         for role in ("identification", "refinement")
     )
-    return max(1, round(coarse / fine)) if np.isfinite(coarse) else 1
+    step = max(1, round(coarse / fine)) if np.isfinite(coarse) else 1
+    records = task.roles.get("identification", ())
+    loses = any(lost_between(each.take(slice(None, None, step)), each) for each in records)
+    return 1 if loses else step
 
 
 def groups(names: tuple[str, ...]) -> list[tuple[str, ...]]:

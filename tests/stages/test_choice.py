@@ -54,6 +54,11 @@ def test_candidates_are_those_that_the_records_allow():
     assert both["joint"].histories == both["short"].histories == names
     assert both["joint"].decimate == 2
     assert both["frequency"].estimator.domain == "frequency"
+    square = np.sign(np.sin(np.arange(max(each.N for each in RECORDS)) / 11.1))[:, None]
+    # Every second step is with a sample that would be left out.
+    stepped = tuple(replace(each, u=0 * each.u + square[: each.N]) for each in RECORDS)
+    every = last_steps(Choosing(), task(identification=stepped, refinement=SHORT))
+    assert {each.decimate for each in every.values()} == {1}
     assert both["quadratic"].black_box.order == 3
     found = Pbsid(order=3).fit(RECORDS)
     known = last_steps(Choosing(), replace(task(), results={"pbsid": found}))
