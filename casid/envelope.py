@@ -95,9 +95,9 @@ def envelope(
         Of a `NonlinearModel`.
     trims : sequence of Trim
         Where it is linearised; placed at their ``speed``, or at their value of "u" or "V", of an
-        input only if the structure's ``units`` give it in m/s. States
-        and inputs that they do not name, or call unknown, are balanced, states from what the
-        fit's records began in on, else from the reference.
+        input only if the structure's ``units`` give it in m/s. States and inputs that they do not
+        name, or call unknown, are balanced, states from what the fit's records began in on, else
+        from the reference.
     entries : sequence of pairs
         State and what its derivative is taken by, state or input: ``("q", "w")`` for M_w.
     local : mapping of Trim to Fit

@@ -7,7 +7,7 @@ notebook any of them may change under the class, and its equations change with i
 import dis
 from collections.abc import Hashable
 from functools import lru_cache
-from types import CodeType, FunctionType, ModuleType, SimpleNamespace
+from types import CellType, CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any, TypeAlias
 
 from casid.values import digest
@@ -15,6 +15,7 @@ from casid.values import digest
 PLAIN = (bool, int, float, complex, str, type(None))
 READS = "LOAD_GLOBAL", "LOAD_NAME"
 OURS = "casid", "builtins", "abc"
+EMPTY = CellType()
 
 Surroundings: TypeAlias = frozenset[tuple[Hashable, Hashable]]
 
@@ -67,7 +68,8 @@ class _Found:
         self.values[function] = None
         code, around = function.__code__, function.__globals__
         for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-            self.take((function, name), cell.cell_contents)
+            if cell != EMPTY:  # else its variable has no value yet
+                self.take((function, name), cell.cell_contents)
         if function.__module__ not in self.modules:
             return
         for name in _globals(code) & around.keys():
@@ -110,5 +112,5 @@ def _names(code: CodeType) -> frozenset[str]:
 def _digest(value: Any) -> Hashable:  # noqa: ANN401
     try:
         return digest(vars(value) if isinstance(value, SimpleNamespace) else value)
-    except TypeError:
-        return _Same(value)  # it holds what is no data
+    except (TypeError, RecursionError):
+        return _Same(value)  # it holds what is no data, or itself

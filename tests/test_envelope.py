@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import matplotlib as mpl
 import numpy as np
 import pytest
+from truths.twofold import Twofold
 
 from casid import (
     DataWarning,
@@ -141,30 +142,13 @@ def test_errors_count_that_what_a_condition_leaves_open_moves_with_the_estimates
     np.testing.assert_allclose(found.std_error[0], expected, rtol=1e-5)
 
 
-class Twofold(NonlinearModel):
-    """V' = d (10 - V) + e - 1, w' = a (w² - 1) + e - 1, w not measured: balances of w are ±1."""
-
-    states, inputs, outputs = ("V", "w"), ("e",), ("V", "az")
-
-    a: Scalar = parameter(default=0.3, lower=0.01, upper=3.0, unit="1/m")
-    d: Scalar = parameter(default=0.5, lower=0.01, upper=9.0, unit="1/s")
-
-    def derivatives(self, x, u):
-        return [self.d * (10.0 - x.V) + u.e - 1.0, self.a * (x.w**2 - 1.0) + u.e - 1.0]
-
-    def measurements(self, x, u):
-        return [x.V, self.a * (x.w**2 - 1.0) + u.e - 1.0]
-
-    def reference(self):
-        return {"V": 10.0, "w": 0.2, "e": 1.0}
-
-
 def test_of_two_balances_that_is_shown_which_the_records_flew():
     t, rng = 0.05 * np.arange(200), np.random.default_rng(5)
     e = 1 + 0.1 * np.sin(0.9 * t)
     still = Record(t, e[:, None], np.zeros((200, 2)), Twofold.inputs, Twofold.outputs, "twofold")
-    record = simulate(Twofold(a=0.4, d=0.7), still, {"V": 10.0, "w": -1.0})
-    fit = output_error(Twofold(), record.with_noise({"V": 0.02, "az": 0.01}, rng), biases=False)
+    record = simulate(Twofold(), still, {"V": 10.0, "w": -1.0})
+    flown, start = record.with_noise({"V": 0.02, "az": 0.01}, rng), Twofold(a=0.3, d=0.5)
+    fit = output_error(start, flown, biases=False)
     trim = Trim(name="level", values={"V": 10.0, "e": 1.0})
     found = envelope(fit, [trim], [("w", "w")])
     assert found.values[0, 0] == pytest.approx(-2 * fit.model.a)  # 2 a w at w = -1

@@ -132,3 +132,20 @@ def test_what_a_class_closes_over_counts() -> None:
     louder()
     assert surroundings(own) != before
     assert np.isclose(own().A(), 2.0)
+
+
+def test_what_has_no_value_yet_or_holds_itself_is_no_obstacle() -> None:
+    loop: list[Any] = []
+    loop.append(loop)
+
+    class Own:
+        def A(self) -> Any:
+            return loop
+
+        def later(self) -> float:
+            return unset
+
+    before = surroundings(Own)
+    assert surroundings(Own) == before
+    unset = 1.0
+    assert surroundings(Own) != before

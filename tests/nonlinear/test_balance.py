@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from truths.swing import Swing
+from truths.twofold import Twofold
 
 from casid import NonlinearModel, Scalar, Trim, parameter
 from casid.nonlinear.balance import Balance, balanced
@@ -208,24 +209,6 @@ def test_a_condition_that_moves_is_another_one():
     assert replace(moving, moves=dict(moving.moves)) == moving
     ahead = [replace(Sinking().at(each), k=0.07).system().A[2, 2] for each in (moving, held)]
     assert abs(ahead[0] - ahead[1]) > 1e-3
-
-
-class Twofold(NonlinearModel):
-    """V' = d (10 - V) + e - 1, w' = a (w² - 1) + e - 1: at V = 10, e = 1 it balances at w = ±1."""
-
-    states, inputs, outputs = ("V", "w"), ("e",), ("V", "az")
-
-    a: Scalar = parameter(default=0.4, lower=0.01, upper=3.0, unit="1/m")
-    d: Scalar = parameter(default=0.7, lower=0.01, upper=9.0, unit="1/s")
-
-    def derivatives(self, x, u):
-        return [self.d * (10.0 - x.V) + u.e - 1.0, self.a * (x.w**2 - 1.0) + u.e - 1.0]
-
-    def measurements(self, x, u):
-        return [x.V, self.a * (x.w**2 - 1.0) + u.e - 1.0]
-
-    def reference(self):
-        return {"V": 10.0, "w": 0.2, "e": 1.0}
 
 
 CRUISE = Trim(name="cruise", values={"V": 10.0, "e": 1.0})
