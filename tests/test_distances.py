@@ -23,6 +23,7 @@ from casid import (
     pbsid,
 )
 from casid.distances import searched
+from casid.missing_modes import Lacking
 from casid.nearest import BoxResponse, movable, nearest
 from casid.values import decode, encode
 
@@ -277,6 +278,9 @@ def test_a_black_box_of_samples_without_a_continuous_equivalent_measures_a_struc
     found = distances(NoSideslip(), sampled, band=BAND)
     own, same = found.faults[0].missing, missed().faults[0].missing
     assert abs(own.pole - same.pole) < 1e-6 * abs(same.pole)
+    target = BoxResponse.of(sampled, NoSideslip(), np.geomspace(*BAND, 5))
+    named = Lacking.of(sampled, NoSideslip(), target).modes
+    assert max(abs(mode.pole) for mode in named) < 1 / h  # that mode, at π/h and more, is none
 
 
 def test_a_black_box_of_samples_is_compared_with_measurements_without_its_hold():

@@ -38,6 +38,13 @@ class Friction(Roll):
         return self.L0 * p + self.L1 * ca.sign(p)
 
 
+class Kicked(Roll):
+    """A moment that changes sides with p: at p = 0 itself it is that below."""
+
+    def damping(self, p, u):  # noqa: ARG002
+        return self.L0 * p + ca.if_else(p > 0, self.L1, -self.L1)
+
+
 class Bent(Roll):
     """The same rates on either side of the threshold, but no slopes."""
 
@@ -79,10 +86,12 @@ def test_jumps_that_records_pass_are_told_as_often_as_they_do(model, threshold):
     assert found.times == np.sum(sides[1:] != sides[:-1])
 
 
-def test_a_threshold_in_the_middle_of_a_sample_is_a_jump_too():
-    x, u = np.array([[-1.0], [1.0]]), np.zeros((2, 1))  # half way p = 0, where sign is neither
-    (found,) = passages(Friction(L1=-0.2), [(x, u)])
-    assert (found.threshold, found.times) == ("p = 0", 1)
+@pytest.mark.parametrize(("model", "told"), [(Friction(), "p = 0"), (Kicked(), "0 = p")])
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_a_threshold_in_the_middle_of_a_sample_is_a_jump_too(model, told, up):
+    x, u = np.array([[-up], [up]]), np.zeros((2, 1))  # half way p = 0, which is on neither side
+    (found,) = passages(model, [(x, u)])
+    assert (found.threshold, found.times) == (told, 1)
 
 
 @pytest.mark.parametrize("model", [Roll(rate=5.0), Bent(), Switched()], ids=["far", "bent", "by u"])

@@ -223,10 +223,19 @@ def test_grids_that_give_nothing_are_refused_with_what_was_tried():
             select_order(records, orders=[90], pasts=pasts, poles=[6.0], feedthrough=feedthrough)
 
 
+@pytest.mark.parametrize("samples", [30, 80])
+def test_of_records_that_are_held_out_one_without_projections_is_none(samples):
+    flown = campaign(noise=0.02, records=3, duration=24.0)
+    found = select_order([*flown[:2], flown[2].take(slice(samples))], feedthrough=["z"], **GRID)
+    assert found.criterion == "held-out records"
+    assert len(found.chosen.folds) == 2
+
+
 def test_windows_are_tried_where_the_usual_one_is_too_long():
     records = campaign(records=2, duration=24.0)
     found = select_order(records, orders=[3], pasts=[5, 400, 500], poles=[6.0], feedthrough=["z"])
     assert found.chosen.past == 5
+    assert found.criterion == "held-out records"
 
 
 @pytest.mark.campaign
