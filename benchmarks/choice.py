@@ -47,7 +47,7 @@ def task_of(case: Case, folder: Path) -> Task:
     case.rough()
     roles = {
         "identification": case.records,
-        "refinement": [record.decimate(2) for record in case.records[: len(STEPS)]],
+        "refinement": case.thinned(len(STEPS)),
         "frequency": case.records[len(STEPS) :],
     }
     settings = {

@@ -52,7 +52,7 @@ def data_of(case: Case, name: str) -> object:
         return case.box()
     if name == "derivid":
         return frequency_response(case.records[len(STEPS) :], omega=OMEGA, method="windows")
-    return [record.decimate(2) for record in case.records[: len(STEPS)]]
+    return case.thinned(len(STEPS))
 
 
 def random_start(model: Model, seed: int, k: int) -> Model:

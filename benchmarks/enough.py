@@ -108,7 +108,7 @@ def named(helicopter: str, data: Path) -> dict[str, object]:
     cases = {each.__name__: Case(helicopter, each, data, 1) for each in (SixDof, HybridFlap)}
     found = compare_structures(
         {name: case.rough() for name, case in cases.items()},
-        [record.decimate(2) for record in cases["SixDof"].records],
+        cases["SixDof"].thinned(len(cases["SixDof"].records)),
         groups=[(name,) for name in STEPS],
     )
     return {"simplest": found.simplest, "table": found.to_markdown()}

@@ -71,6 +71,7 @@ class Case:
     truth: StateSpace | FrequencyResponse
     truth_name: str
     band: tuple[float, float]  # rad/s in which the truth is one
+    thin: int  # every how many samples output error takes: fewer only if no stick's step is lost
 
 
 # ---- the two helicopters ------------------------------------------------------------------------
@@ -86,7 +87,7 @@ def uh60() -> Case:
     model = SixDof(U0=40.922, V0=2.811, W0=2.054, R0=0.0057, phi0=0.0213, theta0=0.0531)
     return Case(
         name="UH-60", model=model, steps=noisy(steps, 0), sweeps=noisy(sweeps, 1), unseen=unseen,
-        truth=uh60_truth(), truth_name="32-state model", band=(0.4, 12.0),
+        truth=uh60_truth(), truth_name="32-state model", band=(0.4, 12.0), thin=2,
     )  # fmt: skip
 
 
@@ -101,7 +102,7 @@ def ah1s() -> Case:
     return Case(
         name="AH-1S", model=model, steps=noisy(steps, 2), sweeps=noisy(sweeps, 3), unseen=unseen,
         truth=frequency_response(exact, omega=OMEGA, method="windows"),
-        truth_name="noise-free sweeps", band=(0.4, 12.0),
+        truth_name="noise-free sweeps", band=(0.4, 12.0), thin=1,
     )  # fmt: skip
 
 
@@ -165,7 +166,7 @@ def identify(case: Case):
     frf = frequency_response(case.sweeps, omega=OMEGA, method="windows")  # as CIFER does
     band = (max(case.band[0], black_box.band[0]), min(case.band[1], black_box.band[1]))
     matched = match(case.model, [black_box, frf], norm="hinf", omega=np.geomspace(*band, 40))
-    steps, sweeps = ([r.decimate(2) for r in records] for records in (case.steps, case.sweeps))
+    steps, sweeps = ([r.decimate(case.thin) for r in each] for each in (case.steps, case.sweeps))
     refined = output_error(matched.model, steps)
     models = {
         "black box": black_box, "TD/FD": refined, "FD only": derivid(case.model, frf),
