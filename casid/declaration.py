@@ -14,7 +14,7 @@ from casid.errors import ModelError, warn
 from casid.limits import OutOfTimeError, time_limit
 
 WIDEST = 1e12  # of a finite bound
-SHARPEST = 1e-12  # of a number's size: the deviation of a prior, whose weight is its inverse square
+SHARPEST = 1e-5  # of a number's size: the deviation of a prior; solvers stall on sharper ones
 NOTHING = "it depends on no state and no input"
 
 
@@ -123,8 +123,8 @@ def check_prior(name: str, pair: Any, size: float = 1.0) -> None:  # noqa: ANN40
         )
     if std < (least := SHARPEST * max(abs(value), size)):
         raise ModelError(
-            f"{name}: its prior has a standard deviation of {std:g}, less than rounding; fix a "
-            f"parameter (fixed=), or give a deviation of {least:g} or more"
+            f"{name}: its prior has a standard deviation of {std:g}, sharper than a solver can "
+            f"weigh; fix it (fixed=), or give a deviation of {least:g} or more"
         )
 
 

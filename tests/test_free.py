@@ -64,9 +64,9 @@ def test_scales_come_from_the_file_the_guess_or_the_bounds():
         ({"fixed": ("Lp",), "bounds": {"Lp": (-4.0, -4.0)}}, "Lp is fixed at -3, outside"),
         (
             {"priors": {"Lp": (-3.0, 1e-300)}},
-            r"Lp: its prior has a standard deviation of 1e-300, .* \(fixed=\), .* of 3e-12 or more",
+            r"Lp: its prior has a standard deviation of 1e-300, .* \(fixed=\), .* of 3e-05 or more",
         ),
-        ({"priors": {"Llat": (0.0, 1e-12)}}, "Llat: .* less than rounding; .* of 2e-11 or more"),
+        ({"priors": {"Llat": (0.0, 1e-5)}}, "Llat: .* a solver can weigh; .* of 0.0002 or more"),
     ],
 )
 def test_a_wrong_choice_of_free_parameters_is_told(choice, message):
