@@ -96,14 +96,38 @@ def local_response(
         other, more, *_ = of_inputs(other, more, correlated, powers, references)
         back = np.zeros_like(G)  # averaged spectra tell what noise does in references
     squared = _beyond_noise(G, error, other, more)
-    # An input is smooth between its samples, or straight: sinc²(ωh/2) lies between the two.
-    between = omega**2 * max((r.dt**2 for r in records if r.hold != "zoh"), default=0.0) / 12
+    between = _between_samples(records, omega, G, references)
     squared = np.maximum(squared, 0.0)
     # As a share of response and difference together: a logarithm's error has limits.
-    bias = np.sqrt(squared / (1 + squared) + between[:, None, None] ** 2)
+    bias = np.sqrt(squared / (1 + squared) + between**2)
     width = np.broadcast_to(KERNEL * half[:, None, None], G.shape)
     bias = np.where(np.isfinite(G), bias, np.nan)
     return LocalResponse(G, error, bias, relative(back, G), width, outputs, inputs)
+
+
+def _between_samples(
+    records: Sequence[Record], omega: Array, G: ComplexArray, references: int
+) -> Array:
+    """Bias (K, ny, nu), relative, as samples do not tell what inputs do between them.
+
+    An input is smooth there, or straight: sinc²(ωh/2) lies between the two, and is what held inputs
+    leave open of a response that falls with ω. A direct term follows their steps at once, not half
+    a sample later as they do in the mean: ωh/2 of as much as the response is at a quarter of the
+    sampling rate, where a direct term is what is left, or at the last frequency if that has none.
+    """
+    smooth = max(record.dt for record in records) * omega[:, None, None]
+    between = np.broadcast_to(smooth**2 / 12, G.shape)
+    held = max((record.dt for record in records if record.hold == "zoh"), default=0.0)
+    if not held:
+        return between
+    high = np.array([np.pi / 2 / held])
+    beyond, error, *more = _at_all(_lines_at(records, high, references), high, QUADRATIC)
+    if references:
+        beyond, error, *_ = of_inputs(beyond, error, *more[2:], references)
+    last = np.take_along_axis(G, len(G) - 1 - np.isfinite(G[::-1]).argmax(axis=0)[None], axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direct = np.abs(np.where(error < 1, beyond, last)) / np.abs(G)
+    return np.hypot(between, held * omega[:, None, None] / 2 * direct)
 
 
 def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Array) -> Array:

@@ -101,6 +101,24 @@ def test_a_held_input_is_the_steps_that_it_is():
     np.testing.assert_allclose(G, pulse / ((1 - 1 / z) / (1j * omega * dt)), rtol=1e-3)
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["steps", "a slow sine"])
+def test_what_held_inputs_leave_open_of_direct_terms_is_stated(known):
+    rng, dt, omega = np.random.default_rng(7), 0.05, np.array([1.0, 3.0, 8.0])
+    t = dt * np.arange(2000)
+    u = rng.standard_normal((2000, 1)) if known else np.sin(0.3 * t + 0.075 * t**2 / 2)[:, None]
+    lag = scipy.signal.StateSpace([[-2.0]], [[2.0]], [[1.0], [-2.0]], [[0.0], [3.0]])
+    pulse = lag.to_discrete(dt)
+    y = scipy.signal.dlsim(pulse, u)[1] + 1e-4 * rng.standard_normal((2000, 2))
+    found = local_response([Record(t, u, y, ("u",), ("y", "a"), "held", "zoh")], omega)
+    true = np.array([lag.C @ lag.B / (1j * w + 2.0) + lag.D for w in omega])[..., 0]
+    off = np.abs(found.G[..., 0] / true - 1)
+    stated = found.leakage[..., 0]
+    assert (off <= 1.1 * np.hypot(stated, 3 * found.random_error[..., 0])).all()
+    assert off[-1, 1] > 0.15  # half a sample of the direct term
+    if known:  # that the other output has none is seen where the steps have power
+        assert (stated[:, 0] < 0.5 * omega * dt / 2).all()
+
+
 def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():
     rng, mixed = np.random.default_rng(1), []
     lines, _ = rational(rng, noise=0.0, nu=2, ny=2)
