@@ -24,17 +24,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import ztrtri
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.autoregression import filled
 from casid.frequency.feedback import NoiseInInputs, relative
 from casid.frequency.leakage import over_three
 from casid.frequency.referring import of_inputs
 from casid.frequency.spectra import correlation
+from casid.frequency.transforms import Lines, lines_at
 from casid.record import Record
-from casid.samples import runs
 
 EDGES = 2  # of x in numerators of transients
 POLES = 2  # of the denominator
@@ -47,15 +45,6 @@ QUADRATIC, CUBIC = 3, 4  # powers of x in numerators of pairs
 SURE = 2.0  # of the noise of a difference that is no bias
 LENGTH = 0.25  # of the most power near a frequency: records of less do not widen models for it
 KERNEL = 0.33  # correlation of two local estimates, as a spectral window's width over a half width
-
-
-@dataclass(frozen=True, eq=False)
-class Lines:
-    """Transforms of one record at its own frequencies ω_k = 2πk/T, k > 0."""
-
-    omega: Array  # (L,) [rad/s]
-    U: ComplexArray  # (L, nu)
-    Y: ComplexArray  # (L, ny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +75,7 @@ def local_response(
     """
     if any(np.isnan(record.y).all(axis=0).any() for record in records):
         return None
-    lines = _lines_at(records, omega, references)
+    lines = lines_at(records, omega, references)
     if not all(lines):
         return None
     G, error, half, back, outputs, inputs = _at_all(lines, omega, QUADRATIC, noise)
@@ -121,9 +110,10 @@ def _between_samples(
     if not held:
         return between
     high = np.array([np.pi / 2 / held])
-    beyond, error, *more = _at_all(_lines_at(records, high, references), high, QUADRATIC)
+    stretches = lines_at(records, high, references)
+    beyond, error, *_, outputs, inputs = _at_all(stretches, high, QUADRATIC)
     if references:
-        beyond, error, *_ = of_inputs(beyond, error, *more[2:], references)
+        beyond, error, *_ = of_inputs(beyond, error, outputs, inputs, references)
     last = np.take_along_axis(G, len(G) - 1 - np.isfinite(G[::-1]).argmax(axis=0)[None], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         direct = np.abs(np.where(error < 1, beyond, last)) / np.abs(G)
@@ -139,55 +129,6 @@ def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Arra
         random = SURE * 2 * np.maximum(more**2 - error**2, 0.0)
         squared = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2 - random, posinf=0.0)
     return over_three(squared)
-
-
-def _lines_at(records: Sequence[Record], omega: Array, references: int) -> list[Sequence[Lines]]:
-    """Lines to take at every frequency: of stretches without losses longer than a period."""
-    full = [filled(record) for record in records]
-    known: dict[tuple[bytes, ...], Sequence[Lines]] = {}
-    found = []
-    for period in 2 * np.pi / omega:
-        cuts = [_gaps(lost, period / record.dt) for record, lost in full]
-        key = tuple(gaps.tobytes() for gaps in cuts)
-        if key not in known:
-            parts = zip(full, cuts, strict=True)
-            known[key] = [
-                _lines(piece, references)
-                for (record, _), gaps in parts
-                for piece in _between(record, gaps)
-            ]
-        found.append(known[key])
-    return found
-
-
-def _gaps(lost: BoolArray, longest: float) -> NDArray[np.intp]:
-    """Losses of a channel longer than so many samples, as `runs` has them."""
-    gone = np.zeros(len(lost), dtype=bool)
-    for column in lost.T:  # slower channels need not have a sample in common
-        for start, end in runs(column):
-            gone[start:end] |= end - start > longest
-    return runs(gone)
-
-
-def _between(record: Record, gaps: NDArray[np.intp]) -> list[Record]:
-    """The stretches between gaps that have a line at least."""
-    edges = [0, *gaps.ravel(), record.N]
-    pairs = zip(edges[::2], edges[1::2], strict=True)
-    return [record.take(slice(a, b)) for a, b in pairs if b - a > 2]
-
-
-def _lines(record: Record, references: int) -> Lines:
-    """Transforms of inputs and outputs; of references and, as outputs too, inputs."""
-    values = np.hstack([record.u, record.y])
-    X = np.fft.rfft(values - values.mean(axis=0), axis=0)[1:] * np.sqrt(record.dt / record.N)
-    omega = 2 * np.pi * np.arange(1, len(X) + 1) / (record.N * record.dt)
-    if record.hold == "zoh":  # the spectrum of the steps, not of a smooth input through the samples
-        jh = 1j * omega * record.dt
-        X[:, : record.nu] *= ((1 - np.exp(-jh)) / jh)[:, None]
-    own = record.nu - references  # the inputs: before the outputs where they are outputs, too
-    if references:
-        return Lines(omega, X[:, own : record.nu], np.delete(X, slice(own, record.nu), axis=1))
-    return Lines(omega, X[:, :own], X[:, own:])
 
 
 def _at_all(
