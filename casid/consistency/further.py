@@ -22,6 +22,7 @@ BEYOND = 10.0  # times its movement: a channel that rests
 TWICE = 2.0  # times the roll rate: what a bank that turns with it may change by
 FASTEST = 10.0  # rad/s of a roll: larger ones are degrees
 LEAN = 0.03  # of gravity, that tells the sign of a specific force in trim
+ROUNDING = 1e-9  # of a level, by which what stands still may move
 AWAY = 0.2  # m: an accelerometer's place that matters
 
 FACTORS = {
@@ -32,6 +33,24 @@ FACTORS = {
     "it seems to be in feet": 1 / 0.3048,
     "its reference seems to be in feet": 0.3048,
 }
+
+
+def dead_channels(flights: Sequence[Flight], names: set[str]) -> dict[str, str]:
+    """Remarks, by channel, on what never moves while its mate in a kinematic equation does."""
+    said = {}
+    for one, other in [pair for pair in OWN.items() if {*pair} <= names]:
+        for name, mate in ((one, other), (other, one)):
+            moves = any(
+                np.var(flight.values[mate]) > 4 * white_noise(flight.values[mate]) ** 2
+                for flight in flights
+            )
+            own = [flight.values[name] for flight in flights]
+            if moves and all(np.ptp(x) <= ROUNDING * np.abs(x).max() for x in own):
+                said[name] = (
+                    f"{name} stands still at {own[0][0]:.3g} while {mate} moves: a dead sensor, or "
+                    "a column that was never filled; leave it out"
+                )
+    return said
 
 
 def turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:

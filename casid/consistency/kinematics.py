@@ -6,7 +6,7 @@ how channels stand to each other, so a scale of 5 % on p may as well be one of -
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,13 @@ from casid.consistency.apart import Apart, known, stands_apart
 from casid.consistency.comparisons import ChannelCheck, judged
 from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
-from casid.consistency.further import against_gravity, misplaced, turned, unexplained
+from casid.consistency.further import (
+    against_gravity,
+    dead_channels,
+    misplaced,
+    turned,
+    unexplained,
+)
 from casid.consistency.lags import clocks_apart
 from casid.consistency.measured import (
     Flight,
@@ -168,18 +174,26 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
             "az has no gravity in it, so the records are perturbations: velocities are not "
             "checked, attitudes roughly, as about level flight; give the trim, or total values"
         )
-    steps = {name: coarse_step(flights, name) for name in {*ATTITUDES} & names}
-    names -= {name for name, step in steps.items() if step}
-    notes += _unchecked(names, pieces, steps)
+    unfit = {
+        name: f"{name} is counted in steps of {step:.3g} rad, too coarse for what it moves"
+        for name in {*ATTITUDES} & names
+        if (step := coarse_step(flights, name))
+    }
+    dead = dead_channels(flights, names)
+    unfit |= {name: f"{name} stands still" for name in dead}
+    names -= {*unfit}
+    notes += _unchecked(names, pieces, unfit)
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
     why, split = turned(flights, names), False
     if equations and not why:
         why, split = clocks_apart(flights, LATE, labels)
     if why or not equations:
+        further = (*dead.values(), *why)
         return KinematicCheck(
-            channels=(), residuals={}, notes=tuple(notes), further=why, by_record=why * split
+            channels=(), residuals={}, notes=tuple(notes), further=further, by_record=why * split
         )
-    return _reconstructed(flights, names, equations, notes, labels, flown[0].outputs)
+    found = _reconstructed(flights, names, equations, notes, labels, flown[0].outputs)
+    return replace(found, further=(*dead.values(), *found.further))
 
 
 def _reconstructed(
@@ -252,12 +266,12 @@ def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:
     return notes
 
 
-def _unchecked(names: set[str], pieces: Sequence[Record], steps: Mapping[str, float]) -> list[str]:
-    """Notes on what was not checked, and why: not there, or counted in coarse ``steps``."""
+def _unchecked(names: set[str], pieces: Sequence[Record], unfit: Mapping[str, str]) -> list[str]:
+    """Notes on what was not checked, and why: not there, or ``unfit`` for it."""
 
     def absence(name: str) -> str:
-        if step := steps.get(name):
-            return f"{name} is counted in steps of {step:.3g} rad, too coarse for what it moves"
+        if name in unfit:
+            return unfit[name]
         shares = [np.isnan(p.channel(name)).mean() for p in pieces if name in p.outputs]
         return f"{max(shares):.0%} of {name} is missing" if shares else f"there is no {name}"
 

@@ -2,7 +2,8 @@
 
 Flight path reconstruction moves by small steps from clocks that nearly agree. Where loggers were
 started by hand they may differ by seconds, which would pass there for scales or be named as its
-largest skew: these are looked for first, of each attitude against what its rate turns.
+largest skew: these are looked for first, of each attitude against what its rate turns, and of each
+velocity against what specific forces, gravity and rates make of it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,8 +11,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import ATTITUDES, RATES
+from casid.channels import ATTITUDES, RATES, VELOCITIES
 from casid.consistency.measured import Flight
+from casid.consistency.rigid import NEEDED, terms_of
 from casid.repetition import least_step
 
 FARTHEST = 30.0  # s, of clocks
@@ -41,7 +43,7 @@ def peak(values: Array, k: int) -> float:
 def clocks_apart(
     flights: Sequence[Flight], near: float, labels: Mapping[int, str]
 ) -> tuple[tuple[str, ...], bool]:
-    """Remarks on attitudes that come later or earlier than rates by more than ``near`` [s].
+    """Remarks on attitudes and velocities later or earlier than others by more than ``near`` [s].
 
     Every record that tells of it (``labels`` by number) counts; the last is whether they disagree.
     """
@@ -49,8 +51,10 @@ def clocks_apart(
     for flight in sorted(flights, key=lambda each: len(each.t)):
         longest[flight.record] = flight
     said, split = [], False
-    for rate, angle in zip(RATES, ATTITUDES, strict=True):
-        found = {k: _late(longest[k], rate, angle, near) for k in labels if k in longest}
+    makes = {angle: f"{rate} turns" for rate, angle in zip(RATES, ATTITUDES, strict=True)}
+    makes |= dict.fromkeys(VELOCITIES, "specific forces move")
+    for angle, what in makes.items():
+        found = {k: _late(longest[k], angle, near) for k in labels if k in longest}
         told = {labels[k]: one for k, one in found.items() if one is not None}
         far = {name: late for name, (late, _) in told.items() if abs(late) > near}
         if not far:
@@ -59,7 +63,7 @@ def clocks_apart(
         if np.ptp([late for late, _ in told.values()]) > near / 2:
             split = True
             said.append(
-                f"{angle} comes after what {rate} turns by another time in each record ({each}): "
+                f"{angle} comes after what {what} by another time in each record ({each}): "
                 "set the clocks of their loggers record by record (Record.shift, Record.join); "
                 "kinematics unchecked"
             )
@@ -67,21 +71,33 @@ def clocks_apart(
         late, alike = map(float, np.mean([*told.values()], axis=0))
         where = "after" if late > 0 else "before"
         said.append(
-            f"{angle} comes {abs(late):.2f} s {where} what {rate} turns (correlation "
+            f"{angle} comes {abs(late):.2f} s {where} what {what} (correlation "
             f"{alike:.2f}): set the clocks of their loggers first, {-late:+.2f} s for "
             f"{angle} ([channels.join] clock, Record.join); kinematics unchecked"
         )
     return tuple(said), split
 
 
-def _late(flight: Flight, rate: str, angle: str, near: float) -> tuple[float, float] | None:
-    """How late an attitude is after what its rate turns [s], and their correlation, if told."""
+def _derivative(flight: Flight, name: str) -> Array | None:
+    """What moves an attitude or velocity, of channels that need not be of its clock; if all are."""
+    if name in ATTITUDES:
+        rate = RATES[ATTITUDES.index(name)]
+        return flight.values.get(rate) if name in flight.values else None
+    if not NEEDED[name] <= {*flight.values}:
+        return None
+    factors, rest = terms_of(name, flight)
+    return np.asarray(sum((a * flight.values[k] for k, a in factors.items()), rest))
+
+
+def _late(flight: Flight, angle: str, near: float) -> tuple[float, float] | None:
+    """How late one is after what turns or moves it [s], and their correlation, if told."""
     step = max(1, round(TURN / flight.dt))
     most = int(min(FARTHEST, flight.t[-1] / 4) / flight.dt)
     inside = slice(most - int(near / flight.dt), most + int(near / flight.dt) + 1)
-    if not {rate, angle} <= {*flight.values} or inside.start < 1:
+    derivative = _derivative(flight, angle)
+    if derivative is None or inside.start < 1:
         return None
-    moves = flight.values[rate] - flight.values[rate].mean()
+    moves = derivative - derivative.mean()
     turned = np.cumsum(moves) - moves / 2
     x, y = (z[step:] - z[:-step] for z in (flight.values[angle], turned))
     if x.std() < COARSE * least_step(flight.values[angle]):

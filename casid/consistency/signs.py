@@ -1,4 +1,4 @@
-"""Which channel has the opposite sign: the one whose turning makes all others agree.
+"""Which channel has the opposite sign or velocities which unit: what makes all others agree.
 
 A reconstruction finds rates and specific forces that are upside down, as gains about −1. Attitudes
 and velocities have no gain there: each is turned in its place, and all is reconstructed anew. What
@@ -7,7 +7,8 @@ must have been turned by the fewest mistakes is believed. Reflections do not cha
     (p, r, φ, ψ, v, ay) → −(p, r, φ, ψ, v, ay),        (q, r, θ, ψ, u, ax) → −(q, r, θ, ψ, u, ax),
 
 so that φ upside down looks like p and r upside down where there are no velocities: of one mistake
-and two the one is told, and of two that explain as much both.
+and two the one is told, and of two that explain as much both. Velocities of another unit leave
+gravity where it is, so that no gains of specific forces make up for it: they are tried likewise.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -15,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casid.channels import ATTITUDES, FORCES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, MEASURES, VELOCITIES
 from casid.consistency.flightpath import GAINS
 from casid.consistency.further import against_gravity, unexplained
 from casid.consistency.innovations import innovations
@@ -28,6 +29,8 @@ from casid.consistency.voting import SIGNIFICANT
 LIKELY = 50.0  # by which -2 log likelihood may differ of what explains as much
 EXACT = 1e-6  # of a channel's movement: no record is more exact
 FLOWN = {"v": "beta", "w": "alpha"}  # what velocities were made of
+SPEEDS = {"ft/s": "ft/s", "km/h": "km/h", "knots": "kt"}  # units that velocities may be in
+FAR = 0.2  # of one: gains that matter beside what is left
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +38,7 @@ class Signs:
     """Channels with the opposite sign."""
 
     turned: str = ""  # an attitude or velocity
+    unit: str = ""  # of velocities, if not m/s
     either: Mapping[str, Sequence[str]] = field(default_factory=dict)  # it or one of the others
 
     def of(self, name: str) -> str:
@@ -44,6 +48,12 @@ class Signs:
 
     def told(self, recorded: Collection[str]) -> tuple[str, ...]:
         """A remark on what was turned."""
+        if self.unit:
+            names = " ".join(VELOCITIES) if {*VELOCITIES} <= {*recorded} else "V"
+            return (
+                f"{names}: in {self.unit}, not m/s? Only so do they agree with all others; state "
+                "their unit where they are read",
+            )
         if not self.turned:
             return ()
         every = (self.turned, *self.either.get(self.turned, ()))
@@ -60,13 +70,22 @@ def reversed_channels(found: Instruments) -> list[str]:
     return [name for name, one in zip(found.channels, sure, strict=True) if one]
 
 
+def _misread(found: Instruments) -> int:
+    """How many specific forces surely have a gain or bias that no instrument has."""
+    of = [i for i, name in enumerate(found.channels) if name in FORCES]
+    off = np.abs(np.abs(found.unknowns[of, 0]) - 1) > FAR + SIGNIFICANT * found.errors[of, 0]
+    far = np.abs(found.biases[:, of]).max(axis=0) > GRAVITY
+    return int((off | far).sum())
+
+
 @dataclass(frozen=True, eq=False)
 class _Guess:
-    """What is left where a channel is turned, or none."""
+    """What is left where a channel is turned or velocities have another unit, or neither."""
 
-    turned: str
     flights: Sequence[Flight]
     found: Instruments
+    turned: str = ""
+    unit: str = ""
 
     @property
     def reversed(self) -> tuple[str, ...]:
@@ -75,16 +94,15 @@ class _Guess:
 
     def mistakes(self, names: Collection[str]) -> int:
         """How many mistakes there must have been."""
-        forces = [i for i, name in enumerate(self.found.channels) if name in FORCES]
-        far = np.abs(self.found.biases[:, forces]).max(axis=0) > GRAVITY
         gravity = against_gravity(self.flights, {*names})
-        return len(self.reversed) + int(far.sum()) + len(gravity)
+        return len(self.reversed) + bool(self.unit) + _misread(self.found) + len(gravity)
 
     def unlikely(self) -> float:
-        """Minus twice the logarithm of the likelihood of the innovations that are left."""
-        total = 0.0
+        """Minus twice the logarithm of the likelihood of the innovations left, as recorded."""
+        total, factor = 0.0, MEASURES["m/s"][SPEEDS[self.unit]] if self.unit else 1.0
         for each, left in self.found.left.items():
             n = sum(map(len, left))
+            total -= 2 * n * float(np.log(factor)) * (each in VELOCITIES)
             moves = sum(float(np.sum(x**2)) for x in self._moves(each))
             sizes = [sum(float(np.sum(innovations(K, x[None]) ** 2)) for x in left) for K in GAINS]
             total += n * float(np.log((min(sizes) + EXACT**2 * moves) / n + 1e-300))
@@ -105,28 +123,39 @@ def set_upright(
     Of rates and forces that are, gains tell. Others are turned only where nothing is left then
     that does not follow (``labels`` of records by number).
     """
-    asis = _Guess("", flights, reconstruct_level(flights, equations))
-    if not asis.reversed and not unexplained(asis.found, flights, labels):
+    asis = _Guess(flights, reconstruct_level(flights, equations))
+    wrong = asis.reversed or _misread(asis.found)
+    if not wrong and not unexplained(asis.found, flights, labels):
         return flights, asis.found, Signs()
+
+    def guess(names: Sequence[str], factor: float, **what: str) -> _Guess:
+        other = [_times(flight, names, factor) for flight in flights]
+        return _Guess(other, reconstruct_level(other, equations), **what)
+
     guesses = [asis]
     for name in (*ATTITUDES, *VELOCITIES):
         if name in equations:
-            other = [_turned(flight, name) for flight in flights]
-            guesses.append(_Guess(name, other, reconstruct_level(other, equations)))
+            guesses.append(guess([name], -1.0, turned=name))
+    if {*VELOCITIES} <= {*equations}:
+        for words, unit in SPEEDS.items():
+            guesses.append(guess(VELOCITIES, MEASURES["m/s"][unit], unit=words))
     unlikely = [guess.unlikely() for guess in guesses]
     near = [
         guess
         for guess, size in zip(guesses, unlikely, strict=True)
         if size < min(unlikely) + LIKELY
-        and not (guess.turned and unexplained(guess.found, guess.flights, labels))
+        and not ((guess.turned or guess.unit) and unexplained(guess.found, guess.flights, labels))
     ]
     if not near:
         return flights, asis.found, Signs()
     fewest = min(guess.mistakes(names) for guess in near)
     best, *others = [guess for guess in near if guess.mistakes(names) == fewest]
-    either = {best.reversed[0]: [each.reversed[0] for each in others]} if fewest else {}
-    return best.flights, best.found, Signs(turned=best.turned, either=either)
+    also = [each.reversed[0] for each in others if each.reversed]
+    either = {best.reversed[0]: also} if best.reversed else {}
+    return best.flights, best.found, Signs(turned=best.turned, unit=best.unit, either=either)
 
 
-def _turned(flight: Flight, name: str) -> Flight:
-    return replace(flight, values={**flight.values, name: -flight.values[name]})
+def _times(flight: Flight, names: Sequence[str], factor: float) -> Flight:
+    return replace(
+        flight, values=flight.values | {name: factor * flight.values[name] for name in names}
+    )
