@@ -136,7 +136,11 @@ def set_upright(
     for name in (*ATTITUDES, *VELOCITIES):
         if name in equations:
             guesses.append(guess([name], -1.0, turned=name))
-    if {*VELOCITIES} <= {*equations}:
+
+    def explains(one: _Guess) -> bool:
+        return not (_misread(one.found) or unexplained(one.found, one.flights, labels))
+
+    if {*VELOCITIES} <= {*equations} and not any(map(explains, guesses)):
         for words, unit in SPEEDS.items():
             guesses.append(guess(VELOCITIES, MEASURES["m/s"][unit], unit=words))
     unlikely = [guess.unlikely() for guess in guesses]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from truths.bodies import ATTITUDES, SPEEDS, changed, flown
 from truths.flights import FORCES, NOISE, RATES, STATES, flight
 
 from casid.consistency.further import against_gravity, misplaced, mistake, turned
@@ -65,3 +66,22 @@ def test_times_in_microseconds_are_told_without_a_record_of_no_name():
     remarks = kinematic_check([replace(record, t=1e6 * record.t)]).remarks
     assert remarks
     assert not any(" in :" in said for said in remarks)
+
+
+@pytest.mark.parametrize("name", [*RATES[:2], *ATTITUDES, *SPEEDS, *FORCES])
+def test_a_sensor_dead_in_all_records_is_told_and_no_other_blamed(name):
+    dead = [
+        replace(each, y=np.where(np.array(each.outputs) == name, each.y[0], each.y))
+        for each in flown(105, count=2)
+    ]
+    check = kinematic_check(dead)
+    (said,) = check.remarks
+    assert said.startswith(f"{name} stands still at ")
+    assert name not in [each.channel for each in check.channels]
+
+
+def test_what_rests_as_all_else_of_its_axis_does_is_not_dead():
+    records = flown(106, outputs=("p", "q", "phi", "theta"), single=True, count=1)
+    for name in ("q", "theta"):
+        records = changed(records, name, lambda x: 0 * x)
+    assert not any("stands still" in said for said in kinematic_check(records).remarks)

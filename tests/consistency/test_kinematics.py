@@ -126,13 +126,11 @@ def test_biases_of_each_record_are_named_and_are_neither_scale_nor_movement_left
     assert p.bias_error > 0.01  # of the mean: records differ by more than noise
 
 
-@pytest.mark.parametrize(("spoilt", "where"), [((0,), " in 0:"), ((0, 1), ":")], ids=["one", "all"])
 @pytest.mark.parametrize("channel", ["p", "phi"])
-def test_a_sensor_frozen_in_one_record_or_dead_in_all_is_told(rolling, channel, spoilt, where):
-    dead = [times(r, channel, 0.0) if k in spoilt else r for k, r in enumerate(rolling)]
-    said = " ".join(kinematic_check(dead).remarks)
-    assert f"phi does not follow from the other channels{where}" in said
-    assert ("it hardly moves" in said) == (channel == "phi" and spoilt == (0, 1))
+def test_a_sensor_frozen_in_one_record_is_told(rolling, channel):
+    frozen = [times(rolling[0], channel, 0.0), *rolling[1:]]
+    said = " ".join(kinematic_check(frozen).remarks)
+    assert "phi does not follow from the other channels in 0:" in said
     assert len(said) < 300
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths import uh60
+from truths.bodies import SPEEDS, flown
 from truths.flights import NOISE, RATES, flight
 
 from casid import outliers, read_csv
@@ -114,3 +115,12 @@ def test_an_attitude_that_hardly_leaves_its_step_tells_no_clock():
         records.append(replace(record, y=y))
         assert not outliers(records[-1]).any()
     assert not any("clock" in said for said in kinematic_check(records).remarks)
+
+
+@pytest.mark.parametrize("late", [2.0, -1.2])
+def test_velocities_of_a_clock_far_off_are_told(late):
+    remarks = kinematic_check(flown(113, late=dict.fromkeys(SPEEDS, late), count=2)).remarks
+    assert remarks
+    assert {said.split()[0] for said in remarks} <= {*SPEEDS}
+    for said in remarks:
+        assert float(said.split("first, ")[1].split(" s")[0]) == pytest.approx(-late, abs=0.05)

@@ -1,5 +1,7 @@
 """One channel upside down, on flights of a rigid body: it is named, and no other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.bodies import (
@@ -88,3 +90,36 @@ def test_forty_campaigns_of_good_instruments_hardly_raise_an_alarm(spoil):
     ]
     # Some twenty tests each at four standard errors: of 80 campaigns one in ten has an alarm.
     assert len(alarms) <= 1, alarms
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("regime", ["slow", "cruise"])
+@pytest.mark.parametrize(
+    ("unit", "size"), [("ft/s", 0.3048), ("knots", 0.514444), ("km/h", 1 / 3.6)]
+)
+def test_velocities_of_another_unit_are_told_and_nothing_else(unit, size, regime):
+    records = flown(110, regime, count=2)
+    for name in SPEEDS:
+        records = changed(records, name, lambda x: x / size)
+    (said,) = kinematic_check(records).remarks
+    assert said.startswith(f"u v w: in {unit}, not m/s?")
+
+
+@pytest.mark.slow
+def test_accelerometers_of_another_unit_leave_velocities_theirs():
+    records = flown(111, count=2)
+    for name in FORCES:
+        records = changed(records, name, lambda x: x / 9.80665)
+    remarks = kinematic_check(records).remarks
+    assert all(said.endswith("it seems to be in g") for said in remarks)
+
+
+@pytest.mark.slow
+def test_a_column_read_twice_is_doubted_in_words():
+    twice = [
+        each.select(outputs=[name for name in each.outputs if name != "v"]).join(
+            replace(each.select((), ("u",)), outputs=("v",))
+        )
+        for each in flown(112, count=2)
+    ]
+    assert kinematic_check(twice).remarks
