@@ -18,7 +18,6 @@ from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution, Job
-from casid.jobs.store import Done
 from casid.model import Bounds, Model
 from casid.record import Record
 from casid.records import stretches
@@ -40,8 +39,9 @@ class StructureComparison:
     names, manoeuvres, outputs : tuple of str
         Candidates, the records left out in turn, what was predicted.
     errors : (candidates, manoeuvres, ny) array
-        Root mean square errors on the record left out; infinite where a fit has nothing to show,
-        NaN of an output that the record has no sample of, which counts for no candidate.
+        Root mean square errors on the record left out, all candidates simulated or all predicted,
+        with what initial states and biases take of the noise given back; infinite where a fit has
+        nothing to show, NaN of an output that the record has no sample of, which counts for none.
     noise : (ny,) array
         Standard deviation of the white noise among these, by the residuals' highest frequencies.
     parameters : tuple of int
@@ -67,9 +67,10 @@ class StructureComparison:
     @property
     def best(self) -> str:
         """The candidate that failed least, of these with the smallest errors where none failed."""
-        failed = np.isinf(self.errors).any(axis=2)
-        size = self._size(self.errors[:, ~failed.any(axis=0)])
-        return self.names[int(np.lexsort((size, failed.sum(axis=1)))[0])]
+        failed = np.asarray(np.isinf(self.errors).any(axis=2))
+        often = failed.sum(axis=1)
+        size = self._size(self.errors[:, ~failed[often == often.min()].any(axis=0)])
+        return self.names[int(np.lexsort((size, often))[0])]
 
     @property
     def excess(self) -> tuple[Array, Array]:
@@ -186,16 +187,23 @@ def compare_structures(
     }
     jobs = {name: _jobs(each, name, parts) for name, each in many.items()}
     done = run_fits(_in_turn(jobs), [type(model) for model in candidates.values()], execution)
-    for k, name in enumerate(candidates):
-        every, *without = (done[job.name] for job in jobs[name])
+    ends = {name: [done[job.name] for job in each] for name, each in jobs.items()}
+    for name, (every, *without) in ends.items():
         fits.append(every.result)
         told = {f"{name}, all": every.reason}
         for part, each in zip(parts, without, strict=True):
             left_out = ", ".join(flown[i].name for i in part)
             told[f"{name}, without {left_out}"] = "" if every.reason else each.reason
-            for i in part:
-                errors[k, i], noise[k, i] = _error(each, flown[i], outputs)
         reasons |= {job: reason for job, reason in told.items() if reason}
+    for number, part in enumerate(parts, 1):
+        shown = {
+            k: fit
+            for k, each in enumerate(ends.values())
+            if (fit := each[number].result) is not None and not each[number].reason
+        }
+        for i in part if shown else ():
+            rows = list(shown)
+            errors[rows, i], noise[rows, i] = _judged(list(shown.values()), flown[i], outputs)
     return StructureComparison(
         names=tuple(candidates),
         manoeuvres=tuple(flown[i].name for i in left),
@@ -265,15 +273,24 @@ def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tupl
     return first
 
 
-def _error(done: Done, record: Record, outputs: tuple[str, ...]) -> tuple[Array, Array]:
-    """Root mean square errors (ny,) of a fit on a record, infinite of a failed one, and noise."""
-    if done.result is None or done.reason:
-        return np.full(len(outputs), np.inf), np.full(len(outputs), np.nan)
-    own = record.select(done.result.model.inputs, outputs)
-    found = validate({"fit": done.result}, own)
-    apart = own.y - found.simulated["fit"][0]
-    noise = [_white(e[np.isfinite(e)]) for e in apart.T]  # outputs need not share a sample
-    return np.asarray(found.rms["fit"][0]), np.array(noise)
+def _judged(
+    fits: Sequence[AnyFit], record: Record, outputs: tuple[str, ...]
+) -> tuple[Array, Array]:
+    """Root mean square errors (fits, ny) on a record, all in one way, and noise.
+
+    Initial state and biases that follow the record take a degree of freedom each of its noise: a
+    structure with a state more would be better by that on every record.
+    """
+    own = record.select(outputs=outputs)
+    found = validate({str(k): fit for k, fit in enumerate(fits)}, own)
+    samples, errors, noise = np.isfinite(own.y).sum(axis=0), [], []
+    for k, fit in enumerate(fits):
+        taken = 1 + len(fit.model.states) / len(outputs) if np.isinf(found.horizon[0]) else 0.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            errors.append(found.rms[str(k)][0] * np.sqrt(samples / (samples - taken)))
+        apart = own.y - found.simulated[str(k)][0]
+        noise.append([_white(e[np.isfinite(e)]) for e in apart.T])  # nor need they share a sample
+    return np.array(errors), np.array(noise)
 
 
 def _white(e: Array) -> float:

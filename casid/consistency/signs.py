@@ -49,10 +49,10 @@ class Signs:
     def told(self, recorded: Collection[str]) -> tuple[str, ...]:
         """A remark on what was turned."""
         if self.unit:
-            names = " ".join(VELOCITIES) if {*VELOCITIES} <= {*recorded} else "V"
+            what = " ".join(VELOCITIES) if {*VELOCITIES} <= {*recorded} else "V"
             return (
-                f"{names}: in {self.unit}, not m/s? Only so do they agree with all others; state "
-                "their unit where they are read",
+                f"{what}: in {self.unit}, not m/s? Only so do all channels agree; state the unit "
+                "where they are read",
             )
         if not self.turned:
             return ()
@@ -86,6 +86,16 @@ class _Guess:
     found: Instruments
     turned: str = ""
     unit: str = ""
+
+    def other(
+        self, names: Sequence[str], factor: float, equations: Sequence[str], **what: str
+    ) -> "_Guess":
+        """What is left where some channels are so many times what they were."""
+        flights = [
+            replace(each, values=each.values | {name: factor * each.values[name] for name in names})
+            for each in self.flights
+        ]
+        return _Guess(flights, reconstruct_level(flights, equations), **what)
 
     @property
     def reversed(self) -> tuple[str, ...]:
@@ -124,25 +134,17 @@ def set_upright(
     that does not follow (``labels`` of records by number).
     """
     asis = _Guess(flights, reconstruct_level(flights, equations))
-    wrong = asis.reversed or _misread(asis.found)
-    if not wrong and not unexplained(asis.found, flights, labels):
-        return flights, asis.found, Signs()
-
-    def guess(names: Sequence[str], factor: float, **what: str) -> _Guess:
-        other = [_times(flight, names, factor) for flight in flights]
-        return _Guess(other, reconstruct_level(other, equations), **what)
-
-    guesses = [asis]
-    for name in (*ATTITUDES, *VELOCITIES):
-        if name in equations:
-            guesses.append(guess([name], -1.0, turned=name))
 
     def explains(one: _Guess) -> bool:
         return not (_misread(one.found) or unexplained(one.found, one.flights, labels))
 
+    if not asis.reversed and explains(asis):
+        return flights, asis.found, Signs()
+    singly = [name for name in (*ATTITUDES, *VELOCITIES) if name in equations]
+    guesses = [asis, *(asis.other([name], -1.0, equations, turned=name) for name in singly)]
     if {*VELOCITIES} <= {*equations} and not any(map(explains, guesses)):
-        for words, unit in SPEEDS.items():
-            guesses.append(guess(VELOCITIES, MEASURES["m/s"][unit], unit=words))
+        sizes = {words: MEASURES["m/s"][unit] for words, unit in SPEEDS.items()}
+        guesses += [asis.other(VELOCITIES, f, equations, unit=u) for u, f in sizes.items()]
     unlikely = [guess.unlikely() for guess in guesses]
     near = [
         guess
@@ -157,9 +159,3 @@ def set_upright(
     also = [each.reversed[0] for each in others if each.reversed]
     either = {best.reversed[0]: also} if best.reversed else {}
     return best.flights, best.found, Signs(turned=best.turned, unit=best.unit, either=either)
-
-
-def _times(flight: Flight, names: Sequence[str], factor: float) -> Flight:
-    return replace(
-        flight, values=flight.values | {name: factor * flight.values[name] for name in names}
-    )

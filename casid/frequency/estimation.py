@@ -127,7 +127,7 @@ class SpectralAnalysis:
             | _listed({why.format(inputs[i]): np.asarray(gone[:, heard, k].any(axis=1))
                        for why, gone in lost.items() for k, i in enumerate(active)}),
             records=tuple(record.name for record in records),
-            fingerprints=tuple(fingerprint(record) for record in plain),
+            fingerprints=tuple(fingerprint(record) for record in plain), printed=(),
         )  # fmt: skip
         _warn(found, silent)
         return found

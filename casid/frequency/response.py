@@ -14,6 +14,8 @@ from casid.records import several
 from casid.textfile import read_json, write_json
 from casid.values import DAMAGED, check_digest, decode, storable
 
+Flown = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+
 PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
 CORRELATIONS = ("output_correlation", "input_correlation")
 POINTWISE = ("omega", *PAIRWISE, *CORRELATIONS, "multiple_coherence", "condition")
@@ -71,6 +73,8 @@ class FrequencyResponse(Shown):
         Names of the records used.
     fingerprints : tuple of tuple of str
         Of these, by which they are recognised (`casid.fingerprints`).
+    printed : tuple of (tuple of str, tuple of str)
+        Inputs and outputs that each fingerprint is of; the response's own unless given.
     """
 
     omega: Array
@@ -91,6 +95,7 @@ class FrequencyResponse(Shown):
     flags: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     records: tuple[str, ...] = ()
     fingerprints: tuple[tuple[str, ...], ...] = ()
+    printed: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = ()
 
     def __post_init__(self) -> None:
         omega = np.array(self.omega, dtype=float)
@@ -149,6 +154,12 @@ class FrequencyResponse(Shown):
             f"of {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s, coherence of 0.6 or more in "
             f"{usual:.0f} %"
         )
+
+    def flights(self) -> list[Flown]:
+        """Name, fingerprint, inputs and outputs of every record that has a fingerprint."""
+        own = self.printed or ((self.inputs, self.outputs),) * len(self.fingerprints)
+        rows = zip(self.records, self.fingerprints, own, strict=False)
+        return [(name, prints, *channels) for name, prints, channels in rows if prints]
 
     @property
     def error(self) -> Array:
@@ -229,6 +240,7 @@ class FrequencyResponse(Shown):
                 content[name] = real + 1j * imag
         if prints := content.get("fingerprints"):
             content["fingerprints"] = tuple(map(tuple, prints))
+        content["printed"] = tuple((tuple(u), tuple(y)) for u, y in content.get("printed", ()))
         for name in ("inputs", "outputs", "windows", "records"):
             content[name] = tuple(content[name])
         content["flags"] = {why: tuple(at) for why, at in content["flags"].items()}

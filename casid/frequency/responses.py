@@ -150,6 +150,9 @@ def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
             flags.setdefault(reason, set()).update(at[list(doubted)].tolist())
         if len(rows) == len(outputs):  # else blocks of several may be no correlation together
             alike[np.ix_(at, rows, rows)] = one.output_correlation
+    told = dict.fromkeys(flight for one in responses for flight in one.flights())
+    named = [name for name, *_ in told]
+    unnamed = [name for one in responses for name in one.records if name not in named]
     return FrequencyResponse(
         omega=omega,
         G=G,
@@ -163,7 +166,9 @@ def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
         input_std=_sizes(inputs, sizes[0]),
         output_std=_sizes(outputs, sizes[1]),
         flags={reason: tuple(sorted(doubted)) for reason, doubted in flags.items()},
-        records=tuple(dict.fromkeys(name for one in responses for name in one.records)),
+        records=(*named, *dict.fromkeys(unnamed)),
+        fingerprints=tuple(prints for _, prints, *_ in told),
+        printed=tuple((u, y) for _, _, u, y in told),
     )
 
 

@@ -174,9 +174,10 @@ def check_responses(
                 f"responses: no pair of {', '.join(response.outputs)} and "
                 f"{', '.join(response.inputs)} is one of {type(model).__name__}'s"
             )
-        for name, prints in zip(response.records, response.fingerprints, strict=False):
+        own: dict[str, str] = {}
+        for name, prints, inputs, outputs in response.flights():
             for record in records:
-                if same_flight(prints, response.inputs, response.outputs, record):
+                if same_flight(prints, inputs, outputs, record):
                     raise ValueError(
                         f"record {record.name!r} enters as a time history and, as {name!r}, in a "
                         "response: no datum counts twice; leave it out of one of them"
@@ -186,4 +187,5 @@ def check_responses(
                     f"records {other!r} and {name!r} of two responses are one flight, which would "
                     "count twice; leave it out of one of them"
                 )
-            seen |= dict.fromkeys(prints, name)
+            own |= dict.fromkeys(prints, name)
+        seen |= own

@@ -184,9 +184,11 @@ def _directions(
     has there is rounding of the information ``alone`` that initial states and biases took away.
     """
     diagonal = np.diag(F)
-    alone = np.maximum(diagonal, diagonal if alone is None else alone)
+    given = diagonal if alone is None else alone
+    alone = np.maximum(diagonal, given)
     left = np.where(diagonal > GONE * alone, diagonal, alone)
-    some = left > NOTHING * left.max()
+    # What no interval feels by itself may yet be felt through the nodes, but not by rounding alone.
+    some = left > np.where(given > 0, NOTHING, GONE) * left.max()
     F, unit = F * np.outer(some, some), 1 / np.sqrt(np.where(some, left, 1.0))
     rows = ties * unit  # of one length: how many hold is told by comparison
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)

@@ -15,6 +15,7 @@ from casid import (
     Rows,
     Scalar,
     frequency_response,
+    merge_responses,
     monte_carlo,
     output_error,
     parameter,
@@ -80,11 +81,21 @@ def test_the_same_record_is_refused_in_both_forms(tmp_path):
     response = frequency_response(campaign(3, 4), omega=np.geomspace(2.5, 9.0, 8))
     place = tmp_path / "response.json"
     response.save(place)
-    for each in (response, FrequencyResponse.load(place)):
+    K = len(response.omega)  # beside those of a tool that tells no flights
+    other = FrequencyResponse(
+        omega=response.omega, G=np.ones((K, 1, 1)), coherence=np.ones((K, 1, 1)),
+        random_error=np.ones((K, 1, 1)), inputs=("col",), outputs=("psi",), input_std=np.ones(1),
+        output_std=np.ones(1),
+    )  # fmt: skip
+    merged = merge_responses([other, response])
+    merged.save(tmp_path / "merged.json")
+    loaded = [FrequencyResponse.load(tmp_path / name) for name in ("response.json", "merged.json")]
+    for each in (response, merged, *loaded):
         with pytest.raises(ValueError, match="enters as a time history and, as 'record 0'"):
             output_error(TRUTH, campaign(3, 1)[0].decimate(2), responses=each)
-    with pytest.raises(ValueError, match="two responses are one flight"):
-        output_error(TRUTH, RECORDS, responses=[response, response])
+    for twice in ([response, response], [response, merged]):
+        with pytest.raises(ValueError, match="two responses are one flight"):
+            output_error(TRUTH, RECORDS, responses=twice)
 
 
 def test_what_is_no_response_of_the_structure_is_refused():
