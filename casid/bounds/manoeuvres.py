@@ -47,7 +47,7 @@ class StructureComparison:
     parameters : tuple of int
         Free parameters of every candidate.
     aicc : (candidates,) array
-        Corrected Akaike criterion of the fits to all records; NaN unless they are by likelihood.
+        Corrected Akaike criterion of the fits to all records; NaN unless all are by one likelihood.
     fits : tuple of Fit or None
         To all records.
     reasons : mapping
@@ -211,10 +211,17 @@ def compare_structures(
         parameters=tuple(0 if f is None else len(f.free_names) for f in fits),
         errors=errors[:, left],
         noise=_least(noise[:, left]),
-        aicc=np.array([np.nan if f is None else aicc(f, flown) for f in fits]),
+        aicc=_criteria(fits, flown),
         fits=tuple(fits),
         reasons=reasons,
     )
+
+
+def _criteria(fits: Sequence[AnyFit | None], records: Sequence[Record]) -> Array:
+    """AICc of each fit; NaN of all where these have several likelihoods, which do not compare."""
+    if len({fit.method for fit in fits if fit is not None}) > 1:
+        return np.full(len(fits), np.nan)
+    return np.array([np.nan if fit is None else aicc(fit, records) for fit in fits])
 
 
 def _jobs(many: Fits, name: str, parts: Sequence[tuple[int, ...]]) -> list[Job]:

@@ -9,8 +9,18 @@ from truths.closed_roll import NOISE, TRUTH, Roll, T, campaign
 from truths.mixture import Inline
 from truths.structures import HoverRoll
 
-from casid import ConvergenceError, Execution, OutputError, Scalar, compare_structures, parameter
-from casid.bounds.manoeuvres import StructureComparison, Without, _parts
+from casid import (
+    ConvergenceError,
+    Execution,
+    OutputError,
+    Record,
+    Scalar,
+    compare_structures,
+    output_error,
+    parameter,
+    validate,
+)
+from casid.bounds.manoeuvres import StructureComparison, Without, _judged, _parts
 
 RECORDS = campaign(1)
 HERE = Execution(executor=Inline())
@@ -31,6 +41,12 @@ class Failing:
     def fit(self, *_, **__):
         Failing.tried += 1
         raise ValueError("of no use")
+
+
+def of_model(model):
+    """A fit that ended at this model."""
+    others = set(model.parameter_names()) - {"Llat"}
+    return replace(output_error(TRUTH, RECORDS[0], fixed=others), model=model)
 
 
 def comparison(sizes, parameters, noise=0.0):
@@ -83,6 +99,41 @@ def test_what_a_manoeuvre_does_not_measure_counts_for_no_candidate():
         assert lost.simplest
 
 
+def test_a_candidate_that_fails_everywhere_leaves_the_others_in_their_order():
+    found = comparison([[1.0, 1.1, 1.2], [0.0, 0.1, 0.2], [np.inf] * 3], [3, 9, 9])
+    assert (found.best, found.simplest) == ("b", "b")
+    np.testing.assert_allclose(found.excess[0][:2], [1.0, 0.0], atol=1e-12)
+    once = comparison([[1.0, 1.1, np.inf], [0.0, 0.1, np.inf], [0.5, np.inf, np.inf]], [3, 9, 9])
+    assert once.best == "b"  # of those that failed least
+
+
+def test_states_that_follow_the_record_gain_nothing_by_its_noise():
+    """Noise alone, that states and biases of a structure take a part of: expected is its size."""
+    model = TRUTH.with_vector(TRUTH.vector() - [0.5, 0, 0, 0, 0, 0, 0])
+    fit = of_model(model)
+    rng, t, squares = np.random.default_rng(5), 0.02 * np.arange(40), []
+    for _ in range(300):
+        y = rng.standard_normal((40, 3))
+        record = Record(t, np.zeros((40, 2)), y, model.inputs, model.outputs, "noise")
+        errors, _ = _judged([fit], record, model.outputs)
+        squares.append(np.mean(errors[0] ** 2))
+    scatter = np.std(squares) / np.sqrt(len(squares))
+    assert np.mean(squares) == pytest.approx(1.0, abs=3 * scatter)
+    assert scatter < 0.02 < 6 / 120 - 0.02  # six unknowns of 120 samples are told
+
+
+def test_candidates_are_all_simulated_or_all_predicted():
+    wild = TRUTH.with_vector(TRUTH.vector() + [2.5, 0, 0, 0, 0, 0, 0])  # by more than ten e-folds
+    fits = [of_model(each) for each in (TRUTH, wild)]
+    record = RECORDS[0]
+    errors, _ = _judged(fits, record, record.outputs)
+    (alone,), _ = _judged(fits[:1], record, record.outputs)
+    found = validate({"right": TRUTH, "wild": wild}, record)
+    assert np.isfinite(found.horizon[0])
+    np.testing.assert_allclose(errors, [found.rms["right"][0], found.rms["wild"][0]])
+    assert np.abs(errors[0] / alone - 1).max() > 0.01
+
+
 def test_what_is_left_out_is_not_there():
     assert Without((1,))(tuple("abc")) == ("a", "c")
 
@@ -115,6 +166,7 @@ def test_one_structure_in_several_ways():
     # The noise rules both errors: they agree to a percent.
     np.testing.assert_allclose(found.excess[0], 0.0, atol=0.01)
     assert not found.reasons
+    assert np.isnan(found.aicc).all()  # two likelihoods of the same records
 
 
 def test_a_way_that_fails_on_all_manoeuvres_is_not_tried_without_each():

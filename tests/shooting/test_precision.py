@@ -58,6 +58,32 @@ def test_parameters_that_show_only_together_are_named(domain):
         assert best[name].std_error == pytest.approx(alone[name].std_error, rel=0.01), name
 
 
+class Hidden(Roll):
+    """A state that no output feels, with a pole of its own."""
+
+    states = (*Roll.states, "h")
+    pole: Scalar = parameter(default=-0.5, lower=-5.0, upper=0.0, unit="1/s")
+
+    def A(self):
+        return [*([*row, 0] for row in super().A()), [0, 1, 0, self.pole]]
+
+    def B(self):
+        return [*super().B(), [1, 0]]
+
+    def C(self):
+        return [[*row, 0] for row in super().C()]
+
+
+def test_what_no_output_feels_is_named_whatever_rounding_says():
+    others = {*TRUTH.parameter_names()} - {"Llat"}
+    with pytest.raises(ConvergenceError, match="the records do not determine pole here") as caught:
+        output_error(Hidden(), [noisy()], fixed=others)
+    best = caught.value.best
+    assert np.isinf(best["pole"].std_error)
+    assert not best.success
+    assert best["Llat"].std_error < 1.0
+
+
 def test_a_control_that_never_moves_is_named_and_the_rest_estimated():
     record = noisy()
     still = replace(record, u=record.u * [1, 0])
