@@ -328,10 +328,11 @@ def _verdict(outcome: Outcome, found: Precision, broken: str | None) -> tuple[bo
             f"the likelihood degenerates: {', '.join(exact)} can be predicted exactly, as without "
             "measurement noise; use output error, or give R"
         )
-    lost = len(found.undetermined)
-    if lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
-        away = run_away(outcome.programme, outcome.solution.x)
-        reasons.append(away or uncertainty.singular(found.undetermined))
+    lost, away = len(found.undetermined), run_away(outcome.programme, outcome.solution.x)
+    if away:
+        reasons.append(away)
+    elif lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
+        reasons.append(uncertainty.singular(found.undetermined))
     unsettled = f"R has not settled after {outcome.rounds} rounds; give R"
     return verdict(outcome.solution, outcome.settled, unsettled, reasons, broken)
 

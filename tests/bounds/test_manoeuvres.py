@@ -123,7 +123,7 @@ def test_states_that_follow_the_record_gain_nothing_by_its_noise():
 
 
 def test_candidates_are_all_simulated_or_all_predicted():
-    wild = TRUTH.with_vector(TRUTH.vector() + [2.5, 0, 0, 0, 0, 0, 0])  # by more than ten e-folds
+    wild = replace(TRUTH, Yv=TRUTH.Yv + 2.5)  # by more than ten e-folds
     fits = [of_model(each) for each in (TRUTH, wild)]
     record = RECORDS[0]
     errors, _ = _judged(fits, record, record.outputs)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
 from truths.closed_roll import (
     NOISE,
     TRUTH,
@@ -14,7 +15,7 @@ from truths.closed_roll import (
     with_response,
 )
 
-from casid import Constraint, ConvergenceError, Scalar, parameter
+from casid import Constraint, ConvergenceError, Model, Record, Scalar, parameter
 from casid.free import free_parameters
 from casid.nlp import Solution
 from casid.shooting.intervals import lay_out
@@ -182,6 +183,34 @@ def test_biases_that_run_away_with_initial_states_are_named():
         said = run_away(programme, programme.pack(away))
         assert ("biases of p run away" in said) == told
         assert ("(OutputError(initial=...).fit)" in said) == told  # `output_error` has no initial=
+
+
+class Slow(Model):
+    """One stable mode."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a: Scalar = parameter(default=-1.0, lower=-10.0, upper=0.0, unit="1/s")
+    b: Scalar = parameter(default=1.0, unit="1/s")
+
+    def A(self):
+        return [[self.a]]
+
+    def B(self):
+        return [[self.b]]
+
+
+def test_a_mode_that_makes_a_ramp_of_growth_is_no_solution():
+    # It grows, which no a ≤ 0 does: near zero initial state and bias make a parabola of it.
+    t, rng = 0.05 * np.arange(200), np.random.default_rng(0)
+    u = np.where((t > 1) & (t < 3), 1.0, 0.0) - np.where((t > 4) & (t < 5), 1.0, 0.0)
+    x = scipy.signal.lsim(([[0.05]], [[3.0]], [[1.0]], [[0.0]]), u, t)[1]
+    y = (x + 0.02 * rng.standard_normal(200))[:, None]
+    record = Record(t, u[:, None], y, ("u",), ("x",), "slow")
+    with pytest.raises(ConvergenceError, match="the biases of x run away together"):
+        output_error(Slow(), record)
+    fit = output_error(Slow(), record, biases=False)
+    assert fit["a"].active
+    assert fit["a"].value == 0.0
 
 
 def test_information_is_that_of_least_squares_with_all_else_projected_out():
