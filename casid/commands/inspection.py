@@ -17,13 +17,12 @@ from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
 from casid.records import Records, same_channels, several, steps_told
-from casid.repetition import least_step, repeated, source_interval
+from casid.repetition import repeated, source_interval
 from casid.report.tables import Cells, cells
-from casid.samples import bursts, runs
+from casid.samples import bursts
+from casid.saturation import longest_stop, saturated
 from casid.structure.identifiability import Identifiability, identifiability
 
-CLIPPED = 5  # equal samples in a row at a channel's largest or smallest value
-LEVELS = 8  # of a channel that is counted in steps, of which an extreme is no chance
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise
 SHARES = (0.05, 0.5, 0.95)  # of a channel's power
@@ -223,7 +222,7 @@ def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -
         missing=missing,
         outliers=far,
         source=source,
-        clipped=_clipped(values, stick=name in record.inputs),
+        clipped=longest_stop(values, stick=name in record.inputs),
         band=_band(even, record.duration),
     )
 
@@ -238,27 +237,6 @@ def _noise(values: Array) -> float:
     """Deviation of white noise; none on what rests or moves evenly for most of the time."""
     steps = np.abs(np.diff(values, 3))
     return white_noise(values) if np.median(steps) > 1e-9 * np.ptp(values) else 0.0
-
-
-def _clipped(values: Array, *, stick: bool) -> int:
-    """Longest run of equal samples at an extreme, if it is one of saturation."""
-    # A stick rests where the pilot holds it, so only its stops count: 0, 1 and -1 of full travel.
-    longest = 0
-    for extreme in (values.min(), values.max()):
-        if np.ptp(values) == 0 or (stick and abs(extreme) not in (0.0, 1.0)):
-            continue
-        start, end = runs(values == extreme).T
-        inside = (start > 0) & (end < len(values))  # trim at either end is no stop
-        longest = max(longest, int((end - start)[inside].max(initial=0)))
-    # A channel that is counted in coarse steps rests on each of them, also on the last of a few.
-    usual, step = 0, least_step(values)
-    if step and not stick:
-        if np.ptp(values) < LEVELS * step:
-            return 0
-        at = np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan))
-        inner = (values[at[:-1]] > values.min()) & (values[at[:-1]] < values.max())
-        usual = int(np.diff(at)[inner].max(initial=0))
-    return longest if longest >= max(CLIPPED, usual) else 0
 
 
 def _band(values: Array, duration: float) -> Array:
@@ -305,11 +283,8 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
     said += [f"{facts.name}: {stretch.told()}" for stretch in facts.frozen]
     for channel in facts.channels:
         if channel.clipped:
-            kind = "stop" if channel.name in inputs else "value"
-            said.append(
-                f"{facts.name}: {channel.name} stays at its extreme {kind} for {channel.clipped} "
-                "samples: saturated? Cut the record there or leave it out"
-            )
+            stick = channel.name in inputs
+            said.append(saturated(facts.name, channel.name, channel.clipped, stick=stick))
         if n := len(channel.outliers):
             said.append(
                 f"{facts.name}: {channel.name} has {n} outlier{'s' * (n > 1)}, the first at "

@@ -26,6 +26,7 @@ from casid.frozen import frozen
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
+from casid.saturation import longest_stop, saturated
 from casid.stages.stage import ROLES, Role, Stage, Task
 from casid.studies.preparation import Cutting, Mending, SecondLogger, with_inputs
 from casid.subspace.pbsid import Pbsid
@@ -229,10 +230,19 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     with placed("[pbsid]"):
         study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
     for record in measured.values():
-        for stretch in frozen(record):
-            warn(f"Record {record.name}: {stretch.told()}")
+        _tell_lost(record)
     flown = {role: [measured[file] for file in each.files] for role, each in study.roles.items()}
     return {role: done[role] for role in ROLES if role in done}, repeats(flown)
+
+
+def _tell_lost(record: Record) -> None:
+    """Warn of what was not measured, though there are samples."""
+    for stretch in frozen(record):
+        warn(f"Record {record.name}: {stretch.told()}")
+    for name in record.outputs:
+        values = record.channel(name)
+        if n := longest_stop(values[np.isfinite(values)], stick=False):
+            warn(f"Record {saturated(record.name, name, n, stick=False)}")
 
 
 def _check_names(study: Study) -> None:
