@@ -25,6 +25,7 @@ from casid.structure.identifiability import Identifiability, identifiability
 
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise
+GAP = 0.05  # of the time that was recorded
 SHARES = (0.05, 0.5, 0.95)  # of a channel's power
 NOISY = 0.05  # of an input's deviation: noise that biases what follows from it
 PER_PERIOD = 5.0  # samples in a period of the fastest input
@@ -211,7 +212,6 @@ def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -
         unit = UNITS.get(name, "")
         known_: Any = {"missing": missing, "outliers": (), "clipped": 0, "source": 0.0}
         return ChannelFacts(name=name, unit=unit, **known_, **empty)
-    even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
     return ChannelFacts(
         name=name,
         unit=UNITS.get(name, ""),
@@ -223,7 +223,7 @@ def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -
         outliers=far,
         source=source,
         clipped=longest_stop(values, stick=name in record.inputs),
-        band=_band(even, record.duration),
+        band=_band(t, values, record.dt),
     )
 
 
@@ -239,9 +239,17 @@ def _noise(values: Array) -> float:
     return white_noise(values) if np.median(steps) > 1e-9 * np.ptp(values) else 0.0
 
 
-def _band(values: Array, duration: float) -> Array:
-    """Frequencies [rad/s] below which the shares of a channel's power lie."""
-    centred = (values - values.mean()) * np.hanning(len(values))
+def _band(t: Array, values: Array, dt: float) -> Array:
+    """Frequencies [rad/s] below which the shares of a channel's power lie.
+
+    Of the longest stretch between gaps that straight lines across them would tell of.
+    """
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) > GAP * len(t) * dt) + 1, [len(t)]])
+    k = int(np.argmax(np.diff(edges)))
+    t, values = t[edges[k] : edges[k + 1]], values[edges[k] : edges[k + 1]]
+    duration = float(t[-1] - t[0])
+    even = np.interp(np.linspace(t[0], t[-1], round(duration / dt) + 1), t, values)
+    centred = (even - even.mean()) * np.hanning(len(even))
     power = np.abs(np.fft.rfft(centred))[1:] ** 2
     total = np.cumsum(power)
     if not np.ptp(values) > 1e-12 * np.abs(values).max():

@@ -58,6 +58,15 @@ def test_inputs_that_move_alike_are_named():
     assert any("ped and lat move together" in said for said in found.advice)
 
 
+def test_bands_are_those_between_gaps():
+    record = swept()
+    (whole,) = inspect_records([record]).records
+    late = replace(record, t=record.t + 3600.0 * (np.arange(record.N) >= record.N - 20))
+    (parted,) = inspect_records([late]).records
+    for one, other in zip(whole.channels, parted.channels, strict=True):
+        np.testing.assert_allclose(other.band, one.band, rtol=0.1)
+
+
 @pytest.mark.parametrize("share", [0.3, 0.45])
 def test_stamps_that_jitter_are_no_gaps_and_a_lost_second_among_them_is_one(share):
     record = swept()
