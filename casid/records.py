@@ -176,10 +176,13 @@ def check_alive(records: Sequence[Record]) -> None:
     """ValueError where an output has no sample, or never moves, in any of the records."""
     for name in still(records, records[0].outputs):
         if not any(np.isfinite(record.channel(name)).any() for record in records):
-            raise ValueError(f"output {name!r} is missing in every sample of every record")
+            raise ValueError(
+                f"output {name!r} is missing in every sample of every record; leave it out of the "
+                "structure, or add a record that has it"
+            )
         raise ValueError(
             f"output {name!r} never moves in any record: a dead channel, fitted exactly, ruins all "
-            "else; mark its samples as missing (NaN) or leave the output out"
+            "else; leave it out of the structure, or add a record in which it moves"
         )
 
 
