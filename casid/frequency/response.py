@@ -14,7 +14,7 @@ from casid.records import several
 from casid.textfile import read_json, write_json
 from casid.values import DAMAGED, check_digest, decode, storable
 
-Flown = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+PrintedFlight = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
 CORRELATIONS = ("output_correlation", "input_correlation")
@@ -155,7 +155,7 @@ class FrequencyResponse(Shown):
             f"{usual:.0f} %"
         )
 
-    def flights(self) -> list[Flown]:
+    def flights(self) -> list[PrintedFlight]:
         """Name, fingerprint, inputs and outputs of every record that has a fingerprint."""
         own = self.printed or ((self.inputs, self.outputs),) * len(self.fingerprints)
         rows = zip(self.records, self.fingerprints, own, strict=False)
