@@ -328,8 +328,8 @@ def _verdict(outcome: Outcome, found: Precision, broken: str | None) -> tuple[bo
             f"the likelihood degenerates: {', '.join(exact)} can be predicted exactly, as without "
             "measurement noise; use output error, or give R"
         )
-    lost, away = len(found.undetermined), run_away(outcome.programme, outcome.solution.x)
-    if away:
+    lost = len(found.undetermined)
+    if away := run_away(outcome.programme, outcome.solution.x, lost):
         reasons.append(away)
     elif lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
         reasons.append(uncertainty.singular(found.undetermined))

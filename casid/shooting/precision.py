@@ -11,6 +11,7 @@ import scipy.linalg
 from casid.arrays import Array
 from casid.estimates import ACTIVE, at_bounds, holding, on_bounds
 from casid.nlp import Solution
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
@@ -21,6 +22,8 @@ from casid.shooting.starting import channel_size
 from casid.values import seal, storable
 
 AWAY = 100.0  # times an output's size: no bias of an instrument
+DIGITS = 0.01  # of the noise, that rounding of what ran away may be
+STILL, RAMP = 1e-10, 0.1  # e-folds over a record: of an integral, and of what makes a ramp
 
 
 @storable
@@ -183,20 +186,37 @@ def verdict(
     return not reasons, "; ".join(reasons) or solution.status
 
 
-def run_away(programme: Programme, x: Array) -> str:
+def run_away(programme: Programme, x: Array, lost: int = 0) -> str:
     """What is said of biases that have left what was measured, at scaled variables x; or nothing.
 
     A mode at no speed with an endless initial state is a ramp, and its offset a bias: where that is
     likeliest of records that drift there is no end, and nothing that leads there is determined.
+    Where the mode is an integral whatever the parameters are, its initial state and a bias are one,
+    which is no matter if nothing is ``lost`` of what is to be determined, nor of the digits.
     """
-    size = np.abs(programme.unpack(x).bias).max(axis=0)
+    point = programme.unpack(x)
+    size = np.abs(point.bias).max(axis=0)
     away = size > AWAY * channel_size(programme.evaluator)
+    drowned = np.spacing(size) > DIGITS * np.sqrt(np.diag(programme.values(x).R))
+    if not (lost or (away & drowned).any() or _slow(programme, point.lam)):
+        return ""
     names = ", ".join(np.array(programme.free.model.outputs)[away])
     return names and (
         f"initial states and the biases of {names} run away together, beyond {AWAY:.0f} times what "
         "was measured: a mode at nearly no speed makes a ramp of how the records drift. Leave "
         "those biases out (biases=), or say how records begin (OutputError(initial=...).fit)"
     )
+
+
+def _slow(programme: Programme, lam: Array) -> bool:
+    """Whether a mode hardly moves over the records, and is no integral by structure."""
+    free = programme.free
+    if isinstance(free.model, NonlinearModel):
+        return False
+    own = free.model.with_vector(free.full(lam[: len(free.index)]))
+    longest = max(record.duration for record in programme.evaluator.layout.records)
+    speed = np.abs(np.linalg.eigvals(own.system().A)) * longest
+    return bool(((speed > STILL) & (speed < RAMP)).any())
 
 
 def _no_precision(programme: Programme, names: tuple[str, ...]) -> Precision:

@@ -5,6 +5,7 @@ gaps between intervals, weighted by what a share of the inputs' effect may do ov
 poor start, or an unstable one, does not run away from the measurements.
 """
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from casid.shooting.programme import Blocks, Programme, Scales
 from casid.shooting.sensitivity import Evaluator, Point
 
 SURPRISE = 0.5  # share of the inputs' effect that the starting model may miss
-FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
+FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's movement
 OTHER = 4.0  # times the variances of a fit: residuals that are not of its motion
 
 
@@ -33,11 +34,27 @@ def channel_size(evaluator: Evaluator) -> Array:
     return np.where(size > 0, size, 1.0)
 
 
+def movement(evaluator: Evaluator) -> Array:
+    """Standard deviation of every output (ny,) within the records; 1 where it never moves.
+
+    However far from zero a channel is, its noise is as small as its digits let it be.
+    """
+    total, count, ends = 0.0, 0.0, np.cumsum([0, *(each.N for each in evaluator.layout.records)])
+    for a, b in itertools.pairwise(ends):
+        rows = slice(a, b)
+        there = evaluator.layout.patterns[evaluator.layout.pattern[rows]]
+        y, n = evaluator.layout.y[rows] * there, there.sum(axis=0)
+        total = total + np.sum(((y - y.sum(axis=0) / np.maximum(n, 1)) * there) ** 2, axis=0)
+        count = count + n
+    size = np.sqrt(total / np.maximum(count, 1))
+    return np.where(size > 0, size, 1.0)
+
+
 def noise_of(evaluator: Evaluator, given: Array | None, kind: CovarianceKind) -> Noise:
     """Noise model of the records, R held at ``given`` unless that is None."""
     layout = evaluator.layout
     counts = np.bincount(layout.pattern, minlength=len(layout.patterns))
-    return Noise(layout.patterns, counts, FLOOR * channel_size(evaluator), kind, given)
+    return Noise(layout.patterns, counts, FLOOR * movement(evaluator), kind, given)
 
 
 def starting_programme(

@@ -180,7 +180,7 @@ def test_biases_that_run_away_with_initial_states_are_named():
     size = np.sqrt(np.mean(np.concatenate([noisy(1).y, noisy(2).y]) ** 2, axis=0))
     for times, told in ((99.0, False), (101.0, True)):
         away = replace(point, bias=np.array([[0.0, 0.0, 0.0], [0.0, -times * size[1], 0.0]]))
-        said = run_away(programme, programme.pack(away))
+        said = run_away(programme, programme.pack(away), lost=1)
         assert ("biases of p run away" in said) == told
         assert ("(OutputError(initial=...).fit)" in said) == told  # `output_error` has no initial=
 
@@ -211,6 +211,31 @@ def test_a_mode_that_makes_a_ramp_of_growth_is_no_solution():
     fit = output_error(Slow(), record, biases=False)
     assert fit["a"].active
     assert fit["a"].value == 0.0
+
+
+class Distance(Slow):
+    """It and its integral, far from the origin of whatever map."""
+
+    states, outputs = ("x", "s"), ("x", "s")
+
+    def A(self):
+        return [[self.a, 0], [1, 0]]
+
+    def B(self):
+        return [[self.b], [0]]
+
+
+@pytest.mark.parametrize("origin", [0.0, 1e5, 5.4e6])
+def test_a_constant_that_a_bias_takes_up_changes_nothing(origin):
+    # It is a bias or where the integral begins, and however large it is, noise is as small.
+    t, rng = 0.1 * np.arange(300), np.random.default_rng(1)
+    u = np.sign(np.sin(0.7 * t)) * (t > 1)
+    system = ([[-0.4, 0], [1, 0]], [[2.0], [0.0]], np.eye(2), np.zeros((2, 1)))
+    y = scipy.signal.lsim(system, u, t)[1] + rng.standard_normal((300, 2)) * [0.5, 0.02]
+    record = Record(t, u[:, None], y + np.array([0, origin]), ("u",), ("x", "s"), "r")
+    fit = output_error(Distance(), record)
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.R)), [0.5, 0.02], rtol=0.15)
+    assert abs(fit["a"].value + 0.4) < 3 * fit["a"].std_error < 0.003
 
 
 def test_information_is_that_of_least_squares_with_all_else_projected_out():
