@@ -14,7 +14,8 @@ from casid.errors import ModelError, warn
 from casid.limits import OutOfTimeError, time_limit
 
 WIDEST = 1e12  # of a finite bound
-SHARPEST = 1e-5  # of a number's size: the deviation of a prior; solvers stall on sharper ones
+SHARPEST = 1e-12  # of a number's size: the deviation of a prior, whose weight is its inverse square
+WEIGHED = 1e-5  # of a parameter's: matches stall on sharper ones
 NOTHING = "it depends on no state and no input"
 
 
@@ -111,7 +112,12 @@ def check_pair(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the use
     check_order(name, lower, upper)
 
 
-def check_prior(name: str, pair: Any, size: float = 1.0) -> None:  # noqa: ANN401 - whatever the user wrote
+def check_prior(
+    name: str,
+    pair: Any,  # noqa: ANN401 - whatever the user wrote
+    size: float = 1.0,
+    sharpest: float = SHARPEST,
+) -> None:
     """Refuse what is no value with a standard deviation that a number of some size can have."""
     try:
         value, std = map(float, pair)
@@ -121,7 +127,7 @@ def check_prior(name: str, pair: Any, size: float = 1.0) -> None:  # noqa: ANN40
         raise ModelError(
             f"{name}: its prior is {pair!r}, expected a value and a standard deviation above 0"
         )
-    if std < (least := SHARPEST * max(abs(value), size)):
+    if std < (least := sharpest * max(abs(value), size)):
         raise ModelError(
             f"{name}: its prior has a standard deviation of {std:g}, sharper than a solver can "
             f"weigh; fix it (fixed=), or give a deviation of {least:g} or more"

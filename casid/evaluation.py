@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.free import Free
 
 
@@ -191,6 +191,8 @@ class MatrixFunction:
         self._used, entry = np.unique(place, return_inverse=True)
         order = np.arange(len(entries)), (parameter, entry)
         self._order = scipy.sparse.csr_array(order, shape=(len(free.index), len(self._used)))
+        bent = ca.which_depends(tau, lam, 2, True)
+        self.linear_delays: BoolArray = ~np.array(bent, dtype=bool)  # (nu,)
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
         self._parts = self._split(np.array(sparse.sparsity().get_triplet(), dtype=int))
         self._last: tuple[bytes, Matrices] | None = None

@@ -149,7 +149,7 @@ def free_parameters(
     _check_held(model, held, lower - NEAR * scale, upper + NEAR * scale)
     names = list(infos)
     for name, pair in priors.items():
-        declaration.check_prior(name, pair, scale[names.index(name)])
+        declaration.check_prior(name, pair, scale[names.index(name)], declaration.WEIGHED)
     known = {names[i]: priors[names[i]] for i in index if names[i] in priors}
     return Free(model, index, lower, upper, scale, known)
 

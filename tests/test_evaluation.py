@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi
 import numpy as np
 import pytest
 from truths.swing import Swing
@@ -132,3 +133,29 @@ def test_what_is_not_seen_is_not_evaluated(apart):
         np.testing.assert_allclose(ours[..., seen], theirs[..., seen], atol=1e-12)
         assert not ours[..., 1, :, :].any()
         assert not ours[..., 2, :4, :].any()
+
+
+class Ways(Coupled):
+    """Delays that are linear in λ, and such that are not."""
+
+    inputs = ("none", "two", "product", "square", "least")
+    more: Scalar = parameter(default=0.2, lower=0.0, upper=0.4, unit="s")
+
+    def B(self) -> Rows:
+        return [[1, 0, 0, 0, 0], [0, 1, 1, 1, 1]]
+
+    def D(self) -> Rows:
+        return [[0] * 5] * 3
+
+    def delays(self):
+        two = 0.1 + 2 * self.tau + self.more
+        least = casadi.fmax(self.tau, 0.05)
+        product = self.tau * self.more
+        return {"two": two, "product": product, "square": 3 * self.tau**2, "least": least}
+
+
+def test_a_delay_is_linear_whose_slopes_are_the_same_at_every_parameter():
+    found = MatrixFunction(free_parameters(Ways())).linear_delays
+    assert found.tolist() == [True, True, False, False, False]
+    held = MatrixFunction(free_parameters(Ways(), fixed=("more",))).linear_delays
+    assert held.tolist() == [True, True, True, False, False]

@@ -14,7 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.free import Free
 from casid.nlp import SolverOptions
-from casid.shooting.delays import Delay, breaking, own_prices, stretch
+from casid.shooting.delays import Delay, Heard, breaking, own_prices
 from casid.shooting.frequency import ROUGH, SpectralOutcome, SpectralProgramme, search
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import SpectralResiduals
@@ -22,8 +22,7 @@ from casid.shooting.spectrum import NoiseSpectrum
 
 LOG = logging.getLogger("casid")
 
-NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
-EDGE = 1e-4  # of a sampling interval, from a kink to where a side of it begins
+EDGE = 1e-4  # of a stretch between kinks, from these to where a side of them begins
 GAIN = 1e-4  # of log-likelihood, that makes the other side better
 CLEAR = 1.0  # of log-likelihood, that is no matter of spectra
 GLANCE = 12  # iterations with nothing held where outputs jump: they tell where else to look
@@ -133,18 +132,23 @@ def likelihood(outcome: SpectralOutcome) -> float:
     return outcome.programme.likelihood(outcome.solution.x)
 
 
-def _edges(delay: Delay, value: float, low: float, high: float) -> Array:
-    """Values of the parameter, now ``value``, that keep its delay within its ends."""
-    edge = EDGE * min(delay.steps)
-    ends = np.array([low + edge, high - edge])
-    return np.sort(value + (ends - delay.tau) / delay.slope)
+def _edges(ends: tuple[float, float]) -> Array:
+    """Bounds of a parameter that keep it within the ends of a stretch."""
+    edge = EDGE * (ends[1] - ends[0])
+    return np.array([ends[0] + edge, ends[1] - edge])
+
+
+def heard(free: Free, lines: list[Lines], lam: Array) -> Heard:
+    """Delays at free values (nf,)."""
+    function = SpectralResiduals(free, lines).matrices
+    m = function(lam)
+    direct = np.logical_or(m.blocks[3].any(axis=0), m.slopes[:, m.nx :, m.nx :].any(axis=(0, 1)))
+    return Heard(m.tau, m.dtau, function.linear_delays, np.asarray(direct))
 
 
 def _delays(free: Free, lines: list[Lines], lam: Array) -> Iterator[Delay]:
     """Delays with kinks at free values (nf,)."""
-    m = SpectralResiduals(free, lines).matrices(lam)
-    direct = np.logical_or(m.blocks[3].any(axis=0), m.slopes[:, m.nx :, m.nx :].any(axis=(0, 1)))
-    return breaking([each.record for each in lines], m.tau, m.dtau, np.asarray(direct))
+    return breaking([each.record for each in lines], heard(free, lines, lam), lam)
 
 
 def _between(free: Free, lines: list[Lines], lam: Array) -> Free:
@@ -152,9 +156,7 @@ def _between(free: Free, lines: list[Lines], lam: Array) -> Free:
     bounded = free
     for delay in _delays(free, lines, lam):
         if delay.jump:
-            ends = stretch(delay.tau + EDGE * min(delay.steps), delay.steps)
-            edges = _edges(delay, lam[delay.a], *ends)
-            bounded = next(_within(bounded, delay.a, edges, jump=False), bounded)
+            bounded = next(_within(bounded, delay.a, _edges(delay.own()), jump=False), bounded)
     return bounded
 
 
@@ -165,34 +167,22 @@ def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
     """
     around = _between(free, lines, lam)
     for delay in _delays(free, lines, lam):
-        a, tau, steps, value = delay.a, delay.tau, delay.steps, lam[delay.a]
-        i = free.index[a]
+        i = free.index[delay.a]
         own = replace(around, lower=around.lower.copy(), upper=around.upper.copy())
         own.lower[i], own.upper[i] = free.lower[i], free.upper[i]
-        tiny = EDGE * min(steps)
-        low, high = stretch(tau + tiny, steps)
-        below, above = stretch(low - tiny, steps), stretch(high + tiny, steps)
-        if delay.jump:
-            for ends in (below, (low, high), above):
-                yield from _within(own, a, _edges(delay, value, *ends), jump=True)
-            continue
-        for h in steps:
-            whole = round(tau / h)
-            if abs(tau / h - whole) < NEAR:
-                for first in (whole - 1, whole):
-                    edges = _edges(delay, value, h * first, h * (first + 1))
-                    yield from _within(own, a, edges, jump=False)
+        for ends in delay.around():
+            yield from _within(own, delay.a, _edges(ends), jump=delay.jump)
 
 
 def _within(free: Free, a: int, ends: Array, jump: bool) -> Iterator[Free]:
     """The bounds with one free parameter between two values, if that leaves any room.
 
-    Or none on its bound, where outputs ``jump``: what is there belongs to the side beyond.
+    Or none on its bound, where outputs ``jump``: what is there may belong to the side beyond.
     """
     i = free.index[a]
     lower, upper = free.lower.copy(), free.upper.copy()
     lower[i], upper[i] = np.clip(ends, lower[i], upper[i])
-    if lower[i] < upper[i] or (jump and upper[i] == free.lower[i]):
+    if jump or lower[i] < upper[i]:
         yield replace(free, lower=lower, upper=upper)
 
 

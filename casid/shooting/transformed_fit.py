@@ -24,6 +24,7 @@ from casid.prediction import PredictionPlan, predict
 from casid.record import Record
 from casid.records import common_hold
 from casid.shooting import uncertainty
+from casid.shooting.delays import warn_of_jumps
 from casid.shooting.frequency import (
     SpectralOutcome,
     SpectralProgramme,
@@ -33,7 +34,7 @@ from casid.shooting.frequency import (
 )
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
-from casid.shooting.sides import done, searched
+from casid.shooting.sides import done, heard, searched
 from casid.shooting.spectrum import (
     NoiseSpectrum,
     coherent,
@@ -60,6 +61,7 @@ def estimate(
     """Maximum-likelihood estimate on the transforms of whole records; see `OutputError`."""
     begin = time.perf_counter()
     lines = transformed(records)
+    warn_of_jumps(records, heard(free, lines, free.guess))
     held = _spectra_of(near, lines) if R is None else white(lines, np.diag(R))
     beside = held is not None and near is not None
     outcome = searched(free, lines, close(options) if beside else options, held)

@@ -16,7 +16,7 @@ from casid.free import Free
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.shooting.delays import warn_of_jumps
+from casid.shooting.delays import heard, warn_of_jumps
 from casid.shooting.innovation import ProcessNoise, filter_unknowns
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
@@ -222,7 +222,7 @@ class Ways:
     ) -> Outcome:
         """Where the rounds of solves end."""
         if evaluator.more is None:  # a filter starts from output error, which has told
-            warn_of_jumps(evaluator, self.free.guess)
+            warn_of_jumps(self.records, heard(evaluator, self.free.guess))
         outcome = None if near is None else search.beside(near, evaluator, self.R, self.biases)
         if outcome is not None:
             return outcome

@@ -1,14 +1,25 @@
 """Delays about whole samples: kinks and jumps of the likelihood, and estimates free of them."""
 
+import contextlib
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown
 from truths.heave import Heave, heaved
+from truths.late_pair import Against, Alike, Longer, Pair, Twice, paired, scanned
 
 from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
-from casid import DataWarning, Record, output_error
+from casid import (
+    ConvergenceError,
+    DataWarning,
+    Record,
+    Scalar,
+    SolverOptions,
+    output_error,
+    parameter,
+)
 from casid.free import free_parameters
 from casid.shooting import search
 from casid.shooting.delays import calm, neighbours, stuck
@@ -189,3 +200,128 @@ def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
         fit = output_error(TRUTH, records)
     held = output_error(fit.model, records, fixed=("tau",))
     assert fit.cost == pytest.approx(held.cost, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("structure", "tau", "start", "domain"),
+    [
+        (Twice, 0.083, 0.083, "time"),
+        pytest.param(Twice, 0.077, 0.05, "time", marks=pytest.mark.slow),
+        pytest.param(Longer, 0.087, 0.05, "time", marks=pytest.mark.slow),
+        pytest.param(Against, 0.071, 0.11, "time", marks=pytest.mark.slow),
+        pytest.param(Twice, 0.0753, 0.185, "frequency", marks=pytest.mark.slow),
+    ],
+)
+def test_a_parameter_of_several_delays_is_found_between_the_whole_samples_of_all(
+    structure, tau, start, domain
+):
+    records = paired(structure, tau)
+    poor = structure(Llat=2.0, Ylat=-1.0, Yped=3.0, tau=start)
+    fit = output_error(poor, records, fixed=("Lp",), domain=domain)
+    assert fit.success
+    grid = np.arange(0.0002, 0.2, 0.001)
+    found = scanned(structure, fit.model.tau, records)
+    assert found <= min(scanned(structure, each, records) for each in grid) + 0.01
+    if domain == "time":  # Σ (y - ŷ)² / σ², a half of it, is that of the estimated noise
+        size = sum(record.y.size for record in records) / 2
+        assert fit.cost == pytest.approx(found + size, abs=0.01)
+
+
+@pytest.mark.parametrize(("structure", "spare"), [(Alike, 0.005), (Longer, 0.012)])
+def test_beyond_a_bound_that_is_no_whole_sample_no_stretch_is_tried(structure, spare):
+    records = paired(structure, 0.0, (0.02,))
+    bounds = {"tau": (spare, 0.2)}
+    fit = output_error(structure(tau=0.03), records, fixed=("Lp",), bounds=bounds)
+    assert fit.model.tau == pytest.approx(spare, abs=1e-6)
+    cost = scanned(structure, fit.model.tau, records) + records[0].y.size / 2
+    assert fit.cost == pytest.approx(cost, abs=0.01)
+
+
+class Earlier(Pair):
+    """Heard at once where its parameter is on its upper bound."""
+
+    def delays(self):
+        return {"lat": 0.2 - self.tau, "ped": 0.2 - self.tau}
+
+
+def test_no_delay_is_found_where_a_parameter_that_shortens_it_is_on_its_bound():
+    records = paired(Alike, 0.0, (0.02,))
+    fit = output_error(Earlier(tau=0.17), records, fixed=("Lp",))
+    assert fit.model.tau == pytest.approx(0.2, abs=1e-6)
+    cost = scanned(Alike, 0.0, records) + records[0].y.size / 2
+    assert fit.cost == pytest.approx(cost, abs=0.01)
+
+
+class Straight(Twice):
+    """The accelerometer hears the pedals alone."""
+
+    def D(self):
+        return [[0, 0], [0, self.Yped]]
+
+
+def tried(structure, tau, hold):
+    """Stretches [ms] that are tried about a model, and the delays within."""
+    model = structure(tau=tau)
+    records = [replace(record, hold=hold) for record in paired(structure, tau)]
+    free = free_parameters(model)
+    evaluator = Evaluator(free, lay_out(records, 2.0))
+    programme, point = starting_programme(evaluator, free, np.diag([0.02, 0.05]) ** 2, True)
+    sides, i = list(neighbours(programme, point.lam, solved=True)), free.names.index("tau")
+    ends = [[1e3 * each.free.lower[i], 1e3 * each.free.upper[i]] for each in sides]
+    return np.round(ends, 6).tolist(), [1e3 * each.delays for each in sides]
+
+
+def test_stretches_end_at_whole_samples_of_every_input_and_record():
+    # 20 and 50 ms of τ and of 2 τ: 0, 10, 20, 25, 30, 40, 50, ...
+    ends, within = tried(Twice, 0.0285, "zoh")
+    assert ends == [[20, 25], [30, 40]]
+    np.testing.assert_allclose(within, [[22.5, 45], [35, 70]])
+    assert tried(Twice, 0.0285, "foh")[0] == []
+    ends, within = tried(Twice, 0.0258, "foh")  # near 50 ms of the pedals' 51.6
+    assert ends == [[20, 25]]
+    # Straight lines that only states feel pass their samples smoothly.
+    ends, within = tried(Straight, 0.0258, "foh")
+    assert ends == [[20, 25]]
+    np.testing.assert_allclose(within, [[np.nan, 45]])
+    # 20 and 50 ms of τ and of 213 ms - τ: 0, 13, 20, 33, 40, 50, 53, 60, 63, ...
+    ends, within = tried(Against, 0.045, "zoh")
+    assert ends == [[33, 40], [50, 53]]
+    np.testing.assert_allclose(within, [[36.5, 176.5], [51.5, 161.5]])
+
+
+class Shared(Pair):
+    """The pedals' way is as much longer as another parameter has it."""
+
+    more: Scalar = parameter(default=0.02, lower=0.0, upper=0.1, unit="s")
+
+    def delays(self):
+        return {"lat": self.tau, "ped": self.tau + self.more}
+
+
+class Bent(Pair):
+    """The pedals' delay is a square."""
+
+    def delays(self):
+        return {"lat": self.tau, "ped": 10 * self.tau**2}
+
+
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+@pytest.mark.parametrize("structure", [Shared, Bent])
+def test_jumps_in_a_delay_that_no_parameter_holds_are_told(structure, domain):
+    limit = SolverOptions(max_iterations=2)
+    fixed = ("Lp", "Llat", "Lped", "Ylat", "Yped")
+    with (
+        pytest.warns(DataWarning, match="outputs feel ped, held in steps, at once, after a delay"),
+        contextlib.suppress(ConvergenceError),
+    ):
+        output_error(structure(), paired(Alike, 0.05), fixed=fixed, solver=limit, domain=domain)
+
+
+def test_a_delay_of_a_fixed_parameter_and_a_free_one_is_that_ones():
+    records = paired(Longer, 0.087)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataWarning)
+        fit = output_error(Shared(more=0.015), records, fixed=("Lp", "more"))
+    grid = np.arange(0.0802, 0.1, 0.0005)
+    least = min(scanned(Longer, each, records) for each in grid)
+    assert scanned(Longer, fit.model.tau, records) <= least + 0.01

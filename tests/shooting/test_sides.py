@@ -7,6 +7,7 @@ import pytest
 import scipy.signal
 from truths.closed_roll import NOISE, TRUTH, T, excitation, with_response
 from truths.heave import Heave, heaved
+from truths.late_pair import Against, Twice, paired
 from truths.structures import LateRoll
 
 from benchmarks.between_samples import BOUNDS, H, flight
@@ -59,6 +60,17 @@ def test_where_the_output_jumps_stretches_next_to_the_delays_are_tried_wherever_
 def test_straight_lines_break_only_where_they_act_directly():
     assert len(ranges(WHOLE, stepped(1, "foh"))) == 2  # ay hears the stick at once
     assert ranges(replace(WHOLE, tau=0.05), stepped(1, "foh")) == []
+
+
+def test_sides_end_at_kinks_of_every_input_that_a_parameter_delays():
+    # Samples 20 and 50 ms apart: for τ and 2 τ kinks are at 0, 10, 20, 25, 30, 40, 50, ...
+    expected = 1e-3 * np.array([[20, 25], [25, 30], [30, 40]])
+    found = ranges(Twice(tau=0.0285), paired(Twice, 0.0285))
+    np.testing.assert_allclose(found, expected, atol=1.1 * EDGE * 0.01)
+    # For τ and 213 ms - τ at 0, 13, 20, 33, 40, 50, 53, 60, 63, ...
+    expected = 1e-3 * np.array([[33, 40], [40, 50], [50, 53]])
+    found = ranges(Against(tau=0.045), paired(Against, 0.045))
+    np.testing.assert_allclose(found, expected, atol=1.1 * EDGE * 0.01)
 
 
 @pytest.mark.slow
