@@ -49,6 +49,17 @@ def of_model(model):
     return replace(output_error(TRUTH, RECORDS[0], fixed=others), model=model)
 
 
+@dataclass(frozen=True)
+class Stuck:
+    """Has something to show of fewer records, and says that it is no solution."""
+
+    def fit(self, model, records, **_):
+        found = OutputError(domain="frequency").fit(model, records)
+        if len(records) < len(RECORDS):
+            raise ConvergenceError("stuck", found)
+        return found
+
+
 def comparison(sizes, parameters, noise=0.0):
     errors = np.exp(np.array(sizes, dtype=float))[:, :, None] * np.ones((1, 1, 2))
     return StructureComparison(
@@ -148,6 +159,25 @@ def test_a_structure_that_lacks_a_derivative_is_not_enough():
     stated = [NOISE[name] for name in found.outputs]
     np.testing.assert_allclose(found.noise, stated, rtol=0.15)  # a median of 250 lines
     assert "| bare" in found.to_markdown()
+
+
+def test_a_manoeuvre_is_judged_by_the_fit_that_has_not_seen_it():
+    way = OutputError(domain="frequency")
+    found = compare_structures({"whole": TRUTH}, RECORDS, estimator=way, execution=HERE)
+    others = way.fit(TRUTH, RECORDS[1:], near=found.fits[0])
+    expected, seen = (
+        validate({"fit": fit}, RECORDS[0]).rms["fit"][0] for fit in (others, found.fits[0])
+    )
+    taken = 1 + 3 / 3
+    expected = expected * np.sqrt(len(T) / (len(T) - taken))
+    np.testing.assert_allclose(found.errors[0, 0], expected, rtol=1e-6)
+    assert np.abs(seen / expected - 1).max() > 1e-3
+
+
+def test_what_is_no_solution_predicts_nothing():
+    found = compare_structures({"whole": TRUTH}, RECORDS, estimator=Stuck(), execution=HERE)
+    assert np.isinf(found.errors).all()
+    assert {*found.reasons.values()} == {"stuck"}
 
 
 def test_the_noise_of_outputs_that_share_no_sample_is_theirs():
