@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.bounds.trials import Draw, Fits
-from casid.checks import check_known
+from casid.checks import check_known, check_level
 from casid.display import Shown, counted, listed
 from casid.estimator import Estimator
 from casid.fit import AnyFit
@@ -84,6 +84,7 @@ class Ensemble(Shown):
 
     def interval(self, level: float = 0.95) -> Array:
         """Percentiles of the estimates, (nf, 2)."""
+        check_level(level, "share")
         tail = 50 * (1 - level)
         return np.asarray(np.nanpercentile(self.values, [tail, 100 - tail], axis=0).T)
 
@@ -100,7 +101,7 @@ class Ensemble(Shown):
 
     def to_markdown(self) -> str:
         """One row a parameter."""
-        claimed = np.nanmean(self.std_errors, axis=0)
+        claimed = np.ma.masked_invalid(self.std_errors).mean(axis=0).filled(np.nan)
         columns = (self.reference, self.bias, self.scatter, claimed, self.coverage)
         rows = [[name, *(f"{c[k]:.4g}" for c in columns)] for k, name in enumerate(self.names)]
         heading = ("parameter", "reference", "bias", "scatter", "mean std. error", "coverage")

@@ -32,6 +32,17 @@ def test_monte_carlo_scatters_as_the_cramer_rao_bound_says():
     assert "coverage" in found.to_markdown()
 
 
+def test_a_parameter_on_its_bound_in_all_draws_has_no_claim_and_no_warning():
+    found = Ensemble(
+        names=("a", "b"), reference=np.zeros(2), values=np.array([[1.0, 0.0], [3.0, 0.0]]),
+        std_errors=np.array([[0.5, np.nan], [1.5, np.nan]]), reasons=("", ""),
+    )  # fmt: skip
+    assert "| a | 0 | 2 | 1.414 | 1 |" in found.to_markdown()
+    assert "| b | 0 | 0 | 0 | nan | nan |" in found.to_markdown()
+    with pytest.raises(ValueError, match="level=95: expected a share between 0 and 1"):
+        found.interval(95)
+
+
 @pytest.mark.slow
 def test_a_bootstrap_of_white_residuals_scatters_as_the_standard_errors():
     fit = output_error(Mixture(), [record()])
