@@ -17,6 +17,7 @@ from casid import (
     Scalar,
     Trim,
     envelope,
+    match,
     output_error,
     parameter,
     simulate,
@@ -198,6 +199,15 @@ def test_what_is_beyond_what_was_flown_is_so_by_a_tenth_of_the_span():
     with pytest.warns(DataWarning, match="extrapolated at 17, 43 m/s"):
         found = envelope(held, at(17.0, 18.5, 41.5, 43.0), PAIRS)
     assert found.beyond.tolist() == [True, False, False, True]
+
+
+def test_conditions_of_a_match_are_what_it_covers():
+    truth = Faster(Mq=-1.2, Mq_V=-0.3, Mlon=0.25)
+    targets = {trim: truth.at(trim).system() for trim in at(22.0, 38.0)}
+    found = match(Faster(), targets, norm="quadratic")
+    with pytest.warns(DataWarning, match=r"at 15, 45 m/s, outside .*\(u 22 to 38\)"):
+        told = envelope(found, at(15.0, 30.0, 45.0), PAIRS)
+    assert told.beyond.tolist() == [True, False, True]
 
 
 def test_trims_of_other_names_or_no_numbers_are_refused(fit):

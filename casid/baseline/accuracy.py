@@ -5,7 +5,8 @@ chapter 12: Cramér-Rao figures 2 √(H⁻¹)ᵢᵢ up to 20 % of the value and 
 10 % are satisfactory, H the Hessian of the cost J.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
@@ -81,6 +82,8 @@ class DerividNotes:
         One row a starting point.
     guidelines : Guidelines
         What the rows are judged by.
+    covered : mapping
+        Spans of airspeed and tables of the flight conditions; of one none.
     """
 
     pairs: tuple[PairCost, ...]
@@ -88,6 +91,7 @@ class DerividNotes:
     table: tuple[ParameterAccuracy, ...]
     starts: tuple[StartCost, ...]
     guidelines: Guidelines = Guidelines()
+    covered: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def accuracy(J: Array, active: BoolArray, ties: Array | None = None) -> tuple[Array, Array, Array]:

@@ -1,6 +1,7 @@
 """What a match is worth: bounds over the band, reasons to disbelieve it, tables for the report."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -52,13 +53,15 @@ class Peak:
 class MatchNotes:
     """What a match tells beside its estimates.
 
-    ``start`` is the one that led to them, ``weight`` the name of the weights, "given" of arrays.
+    ``start`` is the one that led to them, ``weight`` the name of the weights, "given" of arrays;
+    ``covered`` has the spans of airspeed and tables of the flight conditions, of one none.
     """
 
     start: str
     peak: Peak
     sources: tuple[MatchedSource, ...]
     weight: str = "size"
+    covered: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

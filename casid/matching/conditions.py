@@ -16,6 +16,7 @@ from casid.linear import StateSpace
 from casid.matching.targets import Target
 from casid.model import Bounds, M
 from casid.nonlinear.conditions import Trim, at_condition
+from casid.nonlinear.coverage import joined_spans
 from casid.nonlinear.model import NonlinearModel
 from casid.records import several
 from casid.subspace.pbsid import BlackBox
@@ -52,7 +53,9 @@ def fit_at_conditions(
     ]
     chosen: Any = side_by_side(cast("list[FrequencyResponse]", targets)) if merged else targets
     fit = estimator.fit(linear, chosen, fixed=fixed, bounds=bounds)
-    return cast("Fit[M, Any]", replace(fit, model=model.with_values_of(fit.model)))
+    found = model.with_values_of(fit.model)
+    flown = joined_spans([found.reached_at(condition) for condition in conditions])
+    return cast("Fit[M, Any]", replace(fit, model=found, notes=replace(fit.notes, covered=flown)))
 
 
 def named(target: Target, condition: Trim, conditions: Sequence[Trim]) -> Target:
