@@ -88,6 +88,7 @@ def test_the_same_record_is_refused_in_both_forms(tmp_path):
         output_std=np.ones(1),
     )  # fmt: skip
     merged = merge_responses([other, response])
+    assert merged.records == response.records
     merged.save(tmp_path / "merged.json")
     loaded = [FrequencyResponse.load(tmp_path / name) for name in ("response.json", "merged.json")]
     for each in (response, merged, *loaded):
