@@ -88,8 +88,11 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
     W = np.zeros((len(names), len(late)))  # against the clock of φ
     W[range(len(rows)), rows] = 1.0
     for k, (name, *_) in enumerate(names):
-        if clock := clock_of(_reference(found, name)):
+        owner = _reference(found, name)
+        if clock := clock_of(owner):
             W[k, len(found.channels) + CLOCKS.index(clock)] = 1.0
+        if owner == found.alone:
+            W[k, -1] = 1.0
     late, C = W @ late, W @ C @ W.T
     kinds = [KINDS[name] for name, *_ in names]
     sure = np.sqrt(np.diag(C)) <= SKEW
@@ -108,9 +111,9 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
         for k, name in enumerate(skews)
         if _reference(found, name) in moved
     }
-    parted = {*ATTITUDES} & {*moved}  # of which some stay: by name
+    split = {KINDS[name] for name in moved}  # of which some stay: by name
     against = dict.fromkeys(
-        names[i][0] if parted and kinds[i] == "attitudes" else kinds[i] for i in right
+        one for i in right for one in (names[i] if kinds[i] in split else (kinds[i],))
     )
     return Apart(late=moved, against=tuple(against), left=skews | left)
 
@@ -118,11 +121,13 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
 def _clocks(found: Instruments) -> tuple[Array, Array, list[tuple[str, ...]]]:
     """Skews and clocks, their covariance, and the attitudes and velocities that share one."""
     angles, speeds = (
-        tuple(name for name in group if name in found.left) for group in (ATTITUDES, VELOCITIES)
+        tuple(name for name in group if name in found.left and name != found.alone)
+        for group in (ATTITUDES, VELOCITIES)
     )
     late, C = np.append(found.unknowns[:, 1], found.clocks), found.covariance
-    references = [(name,) for name in angles] if found.parted else [angles]
-    return late, C, [*references, *([speeds] if speeds else [])]
+    sources = [*([(name,) for name in angles] if found.parted else [angles]), speeds]
+    alone = [(found.alone,)] if found.alone else []
+    return late, C, [each for each in (*sources, *alone) if each]
 
 
 def _reference(found: Instruments, name: str) -> str:
