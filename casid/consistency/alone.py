@@ -14,10 +14,12 @@ from casid.consistency.flightpath import reconstruct
 from casid.consistency.further import misplaced, seen_place
 from casid.consistency.instruments import Instruments
 from casid.consistency.measured import Flight
+from casid.consistency.recordwise import drawn_apart
 from casid.consistency.signs import unlikely
 from casid.consistency.voting import significant
 
 EXPLAINS = 25.0  # by which -2 log likelihood is less with one more clock, at least
+FEWER = 9.0  # the same where it takes the place of several mistakes
 TURNED = {"phi", "theta"}  # attitudes that stand in more equations than their own
 
 
@@ -26,12 +28,14 @@ def one_alone(
 ) -> tuple[Instruments, Apart]:
     """Instruments with one attitude or velocity late by itself, and what stands apart.
 
-    They are what was ``found`` where nothing seems late or displaced, or no single one explains it.
+    They are what was ``found`` where nothing seems late, displaced or another in each record, and
+    where no single one explains it.
     """
     best = found, stands_apart(found, known(found))
-    if not _mistakes(*best) or not {*equations} >= TURNED:
+    mistakes = _mistakes(*best)
+    if not (mistakes or drawn_apart(found)) or not {*equations} >= TURNED:
         return best
-    least = unlikely(found, flights) - EXPLAINS
+    least = unlikely(found, flights) - (FEWER if mistakes > 1 else EXPLAINS)
     for name in equations:
         one = reconstruct(flights, equations, alone=name)
         apart = stands_apart(one, known(one))

@@ -34,7 +34,7 @@ def clocks_by_record(
     Records are looked at one by one only where they draw the skews found ``together`` apart, by
     half of what matters and more than the least errors these can have (a score test).
     """
-    if not any(differ(skews, least, SUSPECT, SKEW / 2) for skews, least in together.drawn):
+    if not drawn_apart(together):
         return ()
     alone = {}
     for k in labels:
@@ -54,6 +54,11 @@ def clocks_by_record(
                 "set them record by record (Record.shift, Record.join); kinematics unchecked"
             )
     return tuple(said)
+
+
+def drawn_apart(found: Instruments) -> bool:
+    """Whether records draw the skews of all apart, so that they are looked at one by one."""
+    return any(differ(skews, least, SUSPECT, SKEW / 2) for skews, least in found.drawn)
 
 
 def _of(
