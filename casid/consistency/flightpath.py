@@ -103,6 +103,7 @@ def reconstruct(
         parted=parted,
         parting=float(np.abs(loose.step()[attitudes]).max()),
         coupled=problem.coupled(x, biases, parts),
+        held=max(flight.held for flight in flights),
         limits=problem.limits(parts, x),
         drifts=problem.drifts(blocks, parts),
     )

@@ -32,5 +32,6 @@ class Instruments:
     coupled: tuple[
         float, float
     ]  # how many times the coupling of attitudes is flown beside once, its error
+    held: float  # for how long inputs were held from sample to sample [s]
     limits: dict[str, Limit]  # of sensors that were at one
     drifts: Beside  # how fast each skew and, last, that of velocities grow [s/s], their scatter
