@@ -130,7 +130,7 @@ def test_a_force_that_follows_held_inputs_at_once_is_half_a_sample_early_and_not
     assert az.skew_error < 0.004
     assert check.remarks == ()
     assert check.shifts == {}
-    assert "az is 0.0" in kinematic_check(in_steps("foh")).remarks[0]
+    assert kinematic_check(in_steps("foh")).shifts
     late = kinematic_check(in_steps("zoh", late=2))
     assert late.shifts == {"az": pytest.approx(-0.06, abs=0.01)}
 
