@@ -52,8 +52,8 @@ def clocks_by_record(
         # Channels whose skews differ weigh otherwise in each record: from their own they count.
         off = [late for one in alone.values() if (late := _of(one, group, together)) is not None]
         if len(off) > 1 and differ(*np.transpose(off)):
-            late = {k: skews[name][0] for k, name in labels.items() if name in skews}
-            moved = [_on_time(each, group, late.get(each.record, 0.0)) for each in flights]
+            by = {k: skews[name][0] for k, name in labels.items() if name in skews}
+            moved = [_on_time(each, group, by.get(each.record, 0.0)) for each in flights]
             if unlikely(reconstruct_level(moved, equations), moved) > least:
                 continue
             each = ", ".join(f"{name} {late:+.3g}" for name, (late, _) in skews.items())
