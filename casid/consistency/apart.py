@@ -5,6 +5,10 @@ that are late make three forces early, attitudes that are make rates early; nobo
 those, which agree with each other. Rates, forces, attitudes and velocities have a vote each, of
 which single rates and forces have their parts, but those that are hardly known. At a draw what
 comes first is right: instruments and filters delay, nothing is measured before it happens.
+
+Specific forces follow inputs held from sample to sample at once, velocities integrate them: what
+jumps with a sample rises half a sample before it between the two. By how much of that a force is
+early is open, by its direct part: none of it is a skew.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -78,18 +82,25 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
     Attitudes are taken for one source with one clock unless the records say otherwise.
     """
     rows = [i for i, name in enumerate(found.channels) if name in told]
-    skews = {
-        found.channels[i]: (float(found.unknowns[i, 1]), float(found.errors[i, 1])) for i in rows
-    }
     late, C, references = _clocks(found)
+    skews = {
+        found.channels[i]: (
+            _beyond(float(found.unknowns[i, 1]), _jumps(found, i), 0.0),
+            float(found.errors[i, 1]),
+        )
+        for i in rows
+    }
     if len(references) < 2:
         return Apart(left=skews)
     names = [*((name,) for name in skews), *references]
     W = np.zeros((len(names), len(late)))  # against the clock of φ
     W[range(len(rows)), rows] = 1.0
     for k, (name, *_) in enumerate(names):
-        if clock := clock_of(_reference(found, name)):
+        owner = _reference(found, name)
+        if clock := clock_of(owner):
             W[k, len(found.channels) + CLOCKS.index(clock)] = 1.0
+        if owner == found.alone:
+            W[k, -1] = 1.0
     late, C = W @ late, W @ C @ W.T
     kinds = [KINDS[name] for name, *_ in names]
     sure = np.sqrt(np.diag(C)) <= SKEW
@@ -103,26 +114,47 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
         odd = [i for i in group if i >= len(rows)]
         if odd and significant(*(by := apart(late, C, odd, right))):
             moved |= {name: by for i in odd for name in names[i]}
-    left = {
-        name: apart(late, C, [k], [i for i in right if i != k] or [k])
-        for k, name in enumerate(skews)
-        if _reference(found, name) in moved
-    }
-    parted = {*ATTITUDES} & {*moved}  # of which some stay: by name
+    split = {KINDS[name] for name in moved}  # of which some stay: by name
     against = dict.fromkeys(
-        names[i][0] if parted and kinds[i] == "attitudes" else kinds[i] for i in right
+        one for i in right for one in (names[i] if kinds[i] in split else (kinds[i],))
     )
+    moving = [k for k, name in enumerate(skews) if _reference(found, name) in moved]
+    left = {
+        names[k][0]: _beyond_half(
+            apart(late, C, [k], [i for i in right if i != k] or [k]), _jumps(found, rows[k])
+        )
+        for k in moving
+    }
     return Apart(late=moved, against=tuple(against), left=skews | left)
+
+
+def _jumps(found: Instruments, i: int) -> float:
+    """From when inputs held in steps let a channel seem late [s]: half a sample before."""
+    return -found.held / 2 if found.channels[i] in FORCES else 0.0
+
+
+def _beyond(late: float, first: float, last: float) -> float:
+    """By how much it is later than the last or earlier than the first of two [s]."""
+    return late - float(np.clip(late, first, last))
+
+
+def _beyond_half(late: Late, jumps: float) -> Late:
+    """The same of what is late against the middle of them."""
+    return _beyond(late[0], jumps / 2, -jumps / 2), late[1]
 
 
 def _clocks(found: Instruments) -> tuple[Array, Array, list[tuple[str, ...]]]:
     """Skews and clocks, their covariance, and the attitudes and velocities that share one."""
     angles, speeds = (
-        tuple(name for name in group if name in found.left) for group in (ATTITUDES, VELOCITIES)
+        tuple(name for name in group if name in found.left and name != found.alone)
+        for group in (ATTITUDES, VELOCITIES)
     )
-    late, C = np.append(found.unknowns[:, 1], found.clocks), found.covariance
-    references = [(name,) for name in angles] if found.parted else [angles]
-    return late, C, [*references, *([speeds] if speeds else [])]
+    jumps = np.array([_jumps(found, i) for i in range(len(found.channels))])
+    late, C = np.append(found.unknowns[:, 1] - jumps / 2, found.clocks), found.covariance.copy()
+    C[range(len(jumps)), range(len(jumps))] += jumps**2 / 12  # anywhere between
+    sources = [*([(name,) for name in angles] if found.parted else [angles]), speeds]
+    alone = [(found.alone,)] if found.alone else []
+    return late, C, [each for each in (*sources, *alone) if each]
 
 
 def _reference(found: Instruments, name: str) -> str:

@@ -126,7 +126,7 @@ def _remarks(
         )
     late, error = apart.left[check.channel]
     if significant(late, error):
-        moved = ", once these have moved" if late != check.skew else ""
+        moved = ", once these have moved" if {*check.against} & {*apart.names} else ""
         said.append(
             f"{check.channel} is {abs(late):.3g} ± {error:.1g} s {'late' if late > 0 else 'early'} "
             f"against {others}{moved}: look at filters and the time stamps of both"

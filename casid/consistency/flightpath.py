@@ -47,7 +47,6 @@ SETTLED = 1e-3  # of gains and skews [s]
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
 PLACED = len(CLOCKS)  # of the unknowns of no channel those before the accelerometers' place
-COMMON = PLACED + 3
 GROUPS = (RATES, FORCES)
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
@@ -59,16 +58,21 @@ Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unkn
 
 
 def reconstruct(
-    flights: Sequence[Flight], equations: Sequence[str], *, parted: bool = False
+    flights: Sequence[Flight],
+    equations: Sequence[str],
+    *,
+    parted: bool = False,
+    alone: str = "",
 ) -> Instruments:
     """Gain, bias and skew of each rate and specific force by Gauss-Newton steps.
 
     Between the steps the filters' gains and the weights of the ``equations`` (named by attitude or
-    velocity) are fitted. Attitudes have one clock unless they are ``parted``.
+    velocity) are fitted. Attitudes have one clock unless they are ``parted``, and so do velocities;
+    one of either may have one of its own, ``alone``.
     """
-    problem = _Reconstruction(flights, tuple(equations))
-    n = len(problem.channels)
-    free = np.concatenate([np.tile(PRIOR, n), np.full(PLACED, PRIOR[1]), np.full(3, FAR_OFF)])
+    problem = _Reconstruction(flights, tuple(equations), alone)
+    n, placed = len(problem.channels), problem.placed
+    free = np.concatenate([np.tile(PRIOR, n), np.full(placed, PRIOR[1]), np.full(3, FAR_OFF)])
     attitudes, reach = slice(2 * n, 2 * n + PLACED - 1), free.copy()
     if not parted:
         reach[attitudes] = HELD
@@ -81,7 +85,7 @@ def reconstruct(
     P = corrected.covariance(scores, reach) + np.diag(step**2)
     errors = np.sqrt(np.diag(P))
     clock = 2 * n
-    late = [*range(1, clock, 2), *range(clock, clock + PLACED)]
+    late = [*range(1, clock, 2), *range(clock, clock + placed)]
     return Instruments(
         channels=problem.channels,
         unknowns=x[:clock].reshape(n, 2),
@@ -90,14 +94,16 @@ def reconstruct(
         bias_errors=np.sqrt([one.variances(whole, P) for one, whole in pairs]),
         against=problem.against(),
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
-        clocks=x[clock : clock + PLACED],
+        clocks=x[clock : clock + placed],
         drawn=np.array([np.transpose([each.drawn(k) for each in flown]) for k in problem.clocks()]),
         covariance=P[np.ix_(late, late)],
+        alone=alone,
         place=x[-3:],
         place_errors=errors[-3:],
         parted=parted,
         parting=float(np.abs(loose.step()[attitudes]).max()),
         coupled=problem.coupled(x, biases, parts),
+        held=max(flight.held for flight in flights),
         limits=problem.limits(parts, x),
         drifts=problem.drifts(blocks, parts),
     )
@@ -111,8 +117,8 @@ def _solved(
     What noise pretends is evaluated once, where plain steps end, and carried on as a quadratic.
     """
     n = len(problem.channels)
-    start = np.append(np.tile([1.0, 0.0], n), np.zeros(COMMON))
-    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), *range(2 * n, 2 * n + PLACED)]
+    start = np.append(np.tile([1.0, 0.0], n), np.zeros(problem.placed + 3))
+    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), *range(2 * n, len(start) - 3)]
     x, biases, pretended = start, np.zeros((problem.records, n)), None
     iteration = 0
     while True:
@@ -125,7 +131,7 @@ def _solved(
         seen = plain + Normal(np.diag(prior), prior * (start - x))
         corrected = Corrected(seen, pretended or plain * 0.0)
         step = corrected.step()
-        near = iteration > REGAIN[-1] and np.abs(step[: 2 * n + PLACED]).max() < SETTLED
+        near = iteration > REGAIN[-1] and np.abs(step[:-3]).max() < SETTLED
         if (near and pretended) or iteration == ITERATIONS + CORRECTIONS:
             break
         if pretended is None and (near or iteration == ITERATIONS):
@@ -144,8 +150,11 @@ def _solved(
 class _Reconstruction:
     """Residuals of all equations over all flights, and the filters that whiten them."""
 
-    def __init__(self, flights: Sequence[Flight], equations: tuple[str, ...]) -> None:
-        self.flights, self.equations = flights, equations
+    def __init__(
+        self, flights: Sequence[Flight], equations: tuple[str, ...], alone: str = ""
+    ) -> None:
+        self.flights, self.equations, self.alone = flights, equations, alone
+        self.placed = PLACED + bool(alone)
         self.terms = [{each: terms_of(each, flight) for each in equations} for flight in flights]
         there = set(flights[0].values)
         judged = {  # what another term takes the place of that is missing there is not
@@ -158,7 +167,8 @@ class _Reconstruction:
         found, self.of = np.unique([flight.record for flight in flights], return_inverse=True)
         self.records = len(found)
         self.splines = []  # cubic pieces between samples, (4, N - 1) each
-        turned = tuple(name for name in TURNED if name in flights[0].values)
+        products = (*TURNED, *(VELOCITIES if alone in VELOCITIES else ()))
+        turned = tuple(name for name in products if name in flights[0].values)
         for flight in flights:
             y = np.column_stack([flight.values[name] for name in (*self.channels, *turned)])
             pieces = scipy.interpolate.CubicSpline(flight.t, y).c
@@ -184,8 +194,9 @@ class _Reconstruction:
         """Which unknowns stand in an equation."""
         factors, n = self.terms[0][equation][0], len(self.channels)
         own = [i for i, name in enumerate(self.channels) if name in factors]
-        found = [k for i in own for k in (2 * i, 2 * n + COMMON + i, 2 * i + 1)]
-        common = range(2 * n, 2 * n + (COMMON if equation in VELOCITIES else PLACED))
+        shared = 2 * n + self.placed + 3
+        found = [k for i in own for k in (2 * i, shared + i, 2 * i + 1)]
+        common = range(2 * n, shared - 3 * (equation not in VELOCITIES))
         return np.array([*found, *common])
 
     def blocks(self, x: Array, biases: Array) -> list[Block]:
@@ -205,11 +216,13 @@ class _Reconstruction:
     def _sides(self, x: Array, biases: Array) -> list[Sides]:
         """Right-hand sides of every flight at these unknowns."""
         n = 2 * len(self.channels)
-        shared, clocks, place = x[:n].reshape(-1, 2), x[n : n + PLACED], x[n + PLACED :]
+        shared, clocks, place = x[:n].reshape(-1, 2), x[n:-3], x[-3:]
         found = []
         for flight, k, pieces in zip(self.flights, self.of, self.splines, strict=True):
             rows = zip(self.channels, np.insert(shared, 1, biases[k], axis=1), strict=True)
-            found.append(Sides(flight, pieces, dict(rows), self.equations, clocks, place))
+            found.append(
+                Sides(flight, pieces, dict(rows), self.equations, clocks, place, self.alone)
+            )
         return found
 
     def coupled(self, x: Array, biases: Array, parts: Sequence[Block]) -> tuple[float, float]:
@@ -239,7 +252,7 @@ class _Reconstruction:
     def normal(self, parts: Sequence[Block]) -> tuple[Normal, list[Eliminated]]:
         """Normal equations without a prior, of all records together and of each."""
         biased = len(self.channels)
-        n = 3 * biased + COMMON
+        n = 3 * biased + self.placed + 3
         found = [Normal(np.zeros((n, n)), np.zeros(n)) for _ in range(self.records)]
         for each, k, rows in parts:
             own, products = self.columns[each], rows @ rows.T
@@ -267,7 +280,7 @@ class _Reconstruction:
                     replace(flight, values={k: v + sign * add[k] for k, v in flight.values.items()})
                     for flight, add in zip(self.flights, more, strict=True)
                 ]
-                found.append(_Reconstruction(flights, self.equations))
+                found.append(_Reconstruction(flights, self.equations, self.alone))
                 found[-1].gains, found[-1].sizes = self.gains, self.sizes
         return found
 
@@ -369,7 +382,7 @@ class _Reconstruction:
                 continue
             step = max(1, round(BATCH / (first.dt * first.step(each))))
             starts = np.arange(0, rows.shape[1], step)
-            found.append(np.zeros((len(starts), 3 * len(self.channels) + COMMON)))
+            found.append(np.zeros((len(starts), 3 * len(self.channels) + self.placed + 3)))
             sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
             found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)

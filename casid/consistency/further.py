@@ -24,6 +24,7 @@ FASTEST = 10.0  # rad/s of a roll: larger ones are degrees
 LEAN = 0.03  # of gravity, that tells the sign of a specific force in trim
 ROUNDING = 1e-9  # of a level, by which what stands still may move
 AWAY = 0.2  # m: an accelerometer's place that matters
+SEEN = 0.5  # m: the largest error of it
 
 FACTORS = {
     "it has the opposite sign": -1.0,
@@ -123,6 +124,13 @@ def unexplained(
 def in_some(names: Sequence[str], records: Collection[object]) -> str:
     """Which of the records, in words; empty if all."""
     return f" in {listed(names)}" if len(names) < len(records) else ""
+
+
+def seen_place(solution: Instruments) -> tuple[Array, Array]:
+    """Place of the accelerometers and its errors, (3,) each [m], NaN where it is not told."""
+    seen = solution.place_errors < SEEN
+    place, errors = solution.place, solution.place_errors
+    return np.where(seen, place, np.nan), np.where(seen, errors, np.nan)
 
 
 def misplaced(place: Array, errors: Array) -> tuple[str, ...]:

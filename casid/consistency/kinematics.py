@@ -12,7 +12,8 @@ import numpy as np
 
 from casid.arrays import BoolArray
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.apart import Apart, known, stands_apart
+from casid.consistency.alone import one_alone
+from casid.consistency.apart import Apart
 from casid.consistency.comparisons import ChannelCheck, judged
 from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
@@ -20,6 +21,7 @@ from casid.consistency.further import (
     against_gravity,
     dead_channels,
     misplaced,
+    seen_place,
     turned,
     unexplained,
 )
@@ -42,7 +44,6 @@ from casid.records import Records, several
 from casid.samples import bursts
 from casid.threads import one_thread
 
-SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
 
 
@@ -208,6 +209,7 @@ def _reconstructed(
     bare = [each.only(names) for each in flights]
     flights, solution, signs = set_upright(bare, equations, names, labels)
     bare, solution, drifts = without_drifts(flights, equations, solution)
+    solution, apart = one_alone(bare, equations, solution)
     if by_record := clocks_by_record(bare, equations, solution, labels):
         return KinematicCheck(
             channels=(), residuals={}, notes=tuple(notes), further=by_record, by_record=by_record
@@ -218,7 +220,6 @@ def _reconstructed(
     }
     level = _about_zero(flights, "theta", LEVEL)
     rough = {name for name in equations if level or not WHOLE[name] <= names}
-    apart = stands_apart(solution, known(solution))
     checks = tuple(
         judged(solution, n, spread[n], rough, labels.values(), apart, signs)
         for n in solution.channels
@@ -229,9 +230,7 @@ def _reconstructed(
         if not (each.determined or each.remarks or each.channel in solution.limits)
     ]
     left = {n: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for n, e in solution.left.items()}
-    seen = solution.place_errors < SEEN
-    place = np.where(seen, solution.place, np.nan)
-    errors = np.where(seen, solution.place_errors, np.nan)
+    place, errors = seen_place(solution)
     return KinematicCheck(
         channels=checks,
         residuals=left,

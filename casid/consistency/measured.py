@@ -35,6 +35,7 @@ class Flight:
     level: dict[str, float] = field(default_factory=dict)  # attitudes that were not recorded
     record: int = 0  # of which it is a stretch
     start: float = 0.0  # from that of the record [s]
+    held: float = 0.0  # for how long inputs are held from sample to sample [s]
 
     @property
     def t(self) -> Array:
@@ -129,7 +130,7 @@ def signals(
 
     It begins ``start`` [s] after record ``which``.
     """
-    quiet = record.quiet_samples()
+    quiet, held = record.quiet_samples(), record.dt if record.hold == "zoh" else 0.0
     # A slow channel is judged at its own samples: what lies between them carries no noise.
     lost = np.isnan(record.y)
     rare = slow(lost)
@@ -161,7 +162,7 @@ def signals(
         name: np.unique(np.round((t - record.t[0]) / record.dt)).astype(int).clip(0, record.N - 1)
         for name, t in taken.items()
     }
-    return Flight(record.dt, quiet, values, rows, level, which, start)
+    return Flight(record.dt, quiet, values, rows, level, which, start, held)
 
 
 def _expected(record: Record, rare: BoolArray) -> Record:

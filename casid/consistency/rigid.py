@@ -31,7 +31,7 @@ Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
 def terms_of(equation: str, flight: Flight, turned: Mapping[str, Array] | None = None) -> Terms:
     """Factor of each rate and force in the derivative of an attitude or velocity; the rest.
 
-    ``turned`` are attitudes that stand in for the flight's own.
+    ``turned`` are attitudes and velocities that stand in for the flight's own.
     """
     n = len(flight.values[equation])
     zero, one = np.zeros(n), np.ones(n)
@@ -44,7 +44,7 @@ def terms_of(equation: str, flight: Flight, turned: Mapping[str, Array] | None =
         return {"q": c, "r": -s}, zero
     if equation == "psi":
         return {"q": s / np.cos(theta), "r": c / np.cos(theta)}, zero
-    u, v, w = (flight.values[name] for name in VELOCITIES)
+    u, v, w = (known.get(name, flight.values[name]) for name in VELOCITIES)
     return {
         "u": ({"ax": one, "r": v, "q": -w}, -GRAVITY * np.sin(theta)),
         "v": ({"ay": one, "p": w, "r": -u}, GRAVITY * np.cos(theta) * s),
@@ -72,11 +72,12 @@ class Sides:
     """
 
     flight: Flight
-    pieces: Mapping[str, Array]  # splines of rates, forces and `TURNED`
+    pieces: Mapping[str, Array]  # splines of rates, forces and what stands in products
     table: Mapping[str, Array]  # gain, bias and skew of rates and forces
     equations: Collection[str]
-    clocks: Array  # (3,) of `CLOCKS`, later than φ [s]
+    clocks: Array  # (3,) of `CLOCKS`, later than φ [s]; last, how late the one is that is alone
     place: Array  # (3,) of the accelerometers [m]
+    alone: str = ""  # an attitude or velocity with a clock of its own
 
     def of(self, equation: str) -> tuple[list[Array], Array]:
         """Slopes by gain, bias, skew of its channels, by clocks and place; the side (N,)."""
@@ -95,6 +96,8 @@ class Sides:
             )
             later[name] = (more - less) / (2 * TILT) * rate
         slopes += [self._later(equation, clock, later) for clock in CLOCKS]
+        if self.alone:
+            slopes.append(self._alone_later(equation, later))
         if equation in VELOCITIES:
             arms = -lever_of(true)[VELOCITIES.index(equation)]
             return [*slopes, *arms.T], f + arms @ self.place
@@ -119,8 +122,8 @@ class Sides:
         """Attitudes likewise."""
         return {
             name: self._read(name, self._clock(name) - clock)
-            for name in TURNED
-            if name in self.pieces
+            for name in self.pieces
+            if name not in self.table
         }
 
     def _true(self, moved: Moved) -> Moved:
@@ -141,14 +144,21 @@ class Sides:
         all_of_it = later.values() if clock_of(equation) == clock else ()
         return np.zeros(len(self.flight.t)) + sum(own) - sum(all_of_it)
 
+    def _alone_later(self, equation: str, later: Mapping[str, Array]) -> Array:
+        """Likewise by the clock of the one that has its own."""
+        own = [x for name, x in later.items() if self._owner(name) == self.alone]
+        all_of_it = later.values() if equation == self.alone else ()
+        return np.zeros(len(self.flight.t)) + sum(own) - sum(all_of_it)
+
     def _owner(self, name: str) -> str:
         """Against what a channel is late: φ, where what it turns is not recorded."""
         owner = OWN.get(name, name)
         return owner if owner in self.equations else "phi"
 
     def _clock(self, name: str) -> float:
-        of = clock_of(name if name in self.equations else "phi")
-        return float(self.clocks[CLOCKS.index(of)]) if of else 0.0
+        mate = name if name in self.equations else "phi"
+        of, own = clock_of(mate), float(self.clocks[-1]) if mate == self.alone else 0.0
+        return own + (float(self.clocks[CLOCKS.index(of)]) if of else 0.0)
 
     def _read(self, name: str, later: float) -> tuple[Array, Array]:
         return read_later(self.pieces[name], later, self.flight.dt)

@@ -109,17 +109,24 @@ class _Guess:
 
     def unlikely(self) -> float:
         """Minus twice the logarithm of the likelihood of the innovations left, as recorded."""
-        total, factor = 0.0, MEASURES["m/s"][SPEEDS[self.unit]] if self.unit else 1.0
-        for each, left in self.found.left.items():
-            n = sum(map(len, left))
-            total -= 2 * n * float(np.log(factor)) * (each in VELOCITIES)
-            moves = sum(float(np.sum(x**2)) for x in self._moves(each))
-            sizes = [sum(float(np.sum(innovations(K, x[None]) ** 2)) for x in left) for K in GAINS]
-            total += n * float(np.log((min(sizes) + EXACT**2 * moves) / n + 1e-300))
-        return total
+        factor = MEASURES["m/s"][SPEEDS[self.unit]] if self.unit else 1.0
+        return unlikely(self.found, self.flights, factor)
 
-    def _moves(self, name: str) -> list[np.ndarray]:
-        return [x - x.mean() for x in (flight.own(name) for flight in self.flights)]
+
+def unlikely(found: Instruments, flights: Sequence[Flight], factor: float = 1.0) -> float:
+    """Minus twice the logarithm of the likelihood of the innovations left, as recorded.
+
+    Velocities are so many times what was recorded.
+    """
+    total = 0.0
+    for each, left in found.left.items():
+        n = sum(map(len, left))
+        total -= 2 * n * float(np.log(factor)) * (each in VELOCITIES)
+        own = [flight.own(each) for flight in flights]
+        moves = sum(float(np.sum((x - x.mean()) ** 2)) for x in own)
+        sizes = [sum(float(np.sum(innovations(K, x[None]) ** 2)) for x in left) for K in GAINS]
+        total += n * float(np.log((min(sizes) + EXACT**2 * moves) / n + 1e-300))
+    return total
 
 
 def set_upright(
@@ -145,11 +152,11 @@ def set_upright(
     if {*VELOCITIES} <= {*equations} and not any(map(explains, guesses)):
         sizes = {words: MEASURES["m/s"][unit] for words, unit in SPEEDS.items()}
         guesses += [asis.other(VELOCITIES, f, equations, unit=u) for u, f in sizes.items()]
-    unlikely = [guess.unlikely() for guess in guesses]
+    left = [guess.unlikely() for guess in guesses]
     near = [
         guess
-        for guess, size in zip(guesses, unlikely, strict=True)
-        if size < min(unlikely) + LIKELY
+        for guess, size in zip(guesses, left, strict=True)
+        if size < min(left) + LIKELY
         and not ((guess.turned or guess.unit) and unexplained(guess.found, guess.flights, labels))
     ]
     if not near:

@@ -5,6 +5,7 @@ import pytest
 from truths import bodies
 from truths.flights import FORCES, NOISE, RATES, STATES, flight
 
+from casid import Record
 from casid.consistency.apart import Apart
 from casid.consistency.clocks import aligned
 from casid.consistency.kinematics import kinematic_check
@@ -103,6 +104,37 @@ def test_nothing_stands_apart_where_rates_or_forces_are_late(names):
     assert check.apart.names == ()
     assert {*check.shifts} == {*names}
     np.testing.assert_allclose([*check.shifts.values()], -0.1, atol=0.02)
+
+
+def in_steps(hold, late=0, dt=0.04, seed=5):
+    """Level flight in which az jumps with held inputs and w integrates it exactly; az late by rows.
+
+    Between samples az is what it was at the first: w gains that times dt.
+    """
+    rng = np.random.default_rng([79, seed])
+    stick = np.repeat(rng.uniform(-1.0, 1.0, 150), 10)
+    w = dt * np.concatenate([[0.0], np.cumsum(stick)[:-1]])
+    flown = {"az": np.roll(stick, late) - 9.80665, "w": w - w.mean(), "u": np.full(len(w), 20.0)}
+    y = [
+        flown.get(name, np.zeros(len(w))) + 0.2 * bodies.NOISE[name] * rng.standard_normal(len(w))
+        for name in (*bodies.WHOLE, "psi")
+    ]
+    t, names = dt * np.arange(len(w)), (*bodies.WHOLE, "psi")
+    return Record(t, stick[:, None], np.column_stack(y), ("col",), names, hold=hold)
+
+
+def test_a_force_that_follows_held_inputs_at_once_is_half_a_sample_early_and_not_skewed():
+    check = kinematic_check(in_steps("zoh"))
+    (az,) = (each for each in check.channels if each.channel == "az")
+    assert az.skew == pytest.approx(-0.02, abs=4 * az.skew_error)
+    assert az.skew_error < 0.004
+    assert check.remarks == ()
+    assert check.shifts == {}
+    assert kinematic_check(in_steps("foh")).shifts
+    late = kinematic_check(in_steps("zoh", late=2))
+    # Two samples less what steps make up for: az is late or w early, as nothing else moves.
+    assert {*late.shifts} in ({"az"}, {*VELOCITIES})
+    assert all(0.055 < abs(lag) < 0.085 for lag in late.shifts.values())
 
 
 def test_nothing_apart_says_nothing():

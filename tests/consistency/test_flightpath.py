@@ -7,7 +7,7 @@ import pytest
 import scipy.optimize
 from truths.flights import FORCES, RATES, STATES, truth
 
-from casid.consistency.flightpath import COMMON, _Reconstruction, _solved, reconstruct
+from casid.consistency.flightpath import PLACED, _Reconstruction, _solved, reconstruct
 from casid.consistency.measured import Flight
 from casid.consistency.pretended import Corrected, Normal
 
@@ -135,7 +135,7 @@ def test_where_the_steps_end_no_step_is_left_with_the_noise_drawn_there_anew():
     for flight in flights:
         flight.values["p"] += 0.1 * rng.standard_normal(len(flight.t))
     problem = _Reconstruction(flights, ("phi",))
-    reach = np.array([1.0, 0.1, *np.full(COMMON, 1.0)])
+    reach = np.array([1.0, 0.1, *np.full(PLACED + 3, 1.0)])
     x, biases, blocks, corrected, _ = _solved(problem, reach)
     plain, _ = problem.normal(problem.whitened(blocks))
     prior = Normal(np.diag(reach**-2.0), reach**-2.0 * (np.eye(1, len(x))[0] - x))
