@@ -29,8 +29,7 @@ def longest_stop(values: Array, *, stick: bool) -> int:
         of = np.searchsorted(first, start[inside], side="right") - 1
         length = (end - start)[inside]
         around = (last - first)[of] - length
-        turns = (length <= TURN * around) & (not stick)
-        longest = max(longest, int(length[~turns].max(initial=0)))
+        longest = max(longest, int(length[length > TURN * around].max(initial=0)))
     # A channel that is counted in coarse steps rests on each of them, also on the last of a few.
     usual = 0
     if step and not stick:

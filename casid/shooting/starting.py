@@ -43,7 +43,7 @@ def movement(evaluator: Evaluator) -> Array:
     for a, b in itertools.pairwise(ends):
         rows = slice(a, b)
         there = evaluator.layout.patterns[evaluator.layout.pattern[rows]]
-        y, n = evaluator.layout.y[rows] * there, there.sum(axis=0)
+        y, n = evaluator.layout.y[rows], there.sum(axis=0)  # 0 where missing
         total = total + np.sum(((y - y.sum(axis=0) / np.maximum(n, 1)) * there) ** 2, axis=0)
         count = count + n
     size = np.sqrt(total / np.maximum(count, 1))

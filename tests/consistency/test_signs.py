@@ -1,6 +1,7 @@
 """One channel upside down, on flights of a rigid body: it is named, and no other."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from truths.bodies import (
 )
 
 from casid.consistency.kinematics import kinematic_check
+from casid.consistency.signs import _Guess, _misread
 
 
 def named(said, name):
@@ -123,3 +125,21 @@ def test_a_column_read_twice_is_doubted_in_words():
         for each in flown(112, count=2)
     ]
     assert kinematic_check(twice).remarks
+
+
+def test_gains_and_biases_that_no_instrument_has_are_mistakes():
+    def found(gain=1.0, error=0.01, bias=0.0):
+        names = ("p", "ax", "az")
+        unknowns = np.array([[1.0, 0.0], [1.0, 0.0], [gain, 0.0]])
+        return SimpleNamespace(
+            channels=names, unknowns=unknowns, errors=np.full((3, 2), error),
+            biases=np.array([[30.0, 0.0, 0.0], [0.0, 0.0, bias]]),
+        )  # fmt: skip
+
+    assert _misread(found()) == _misread(found(gain=1.15)) == _misread(found(gain=-1.0)) == 0
+    assert (
+        _misread(found(gain=0.5)) == _misread(found(gain=1.5)) == _misread(found(bias=-12.0)) == 1
+    )
+    assert _misread(found(gain=0.5, error=0.2)) == 0
+    assert _Guess([], found(gain=0.5), unit="knots").mistakes(()) == 2
+    assert _Guess([], found(gain=-1.0)).mistakes(()) == 1

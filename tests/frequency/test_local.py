@@ -114,6 +114,7 @@ def test_what_held_inputs_leave_open_of_direct_terms_is_stated(known):
     stated = found.leakage[..., 0]
     assert (off <= 1.1 * np.hypot(stated, 3 * found.random_error[..., 0])).all()
     assert off[-1, 1] > 0.15  # half a sample of the direct term
+    assert (stated[:, 1] < 1.5 * off[:, 1]).all()
     if known:  # that the other output has none is seen where the steps have power
         assert (stated[:, 0] < 0.5 * omega * dt / 2).all()
 

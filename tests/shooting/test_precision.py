@@ -185,6 +185,16 @@ def test_biases_that_run_away_with_initial_states_are_named():
         assert ("(OutputError(initial=...).fit)" in said) == told  # `output_error` has no initial=
 
 
+def test_an_integral_may_run_away_as_far_as_its_digits_last():
+    free = free_parameters(TRUTH)
+    programme, point = starting_programme(
+        Evaluator(free, lay_out([noisy(1)], 2.0)), free, "diagonal", True
+    )
+    for times, told in ((1e4, False), (1e14, True)):
+        away = replace(point, bias=np.array([[0.0, -times, 0.0]]))
+        assert bool(run_away(programme, programme.pack(away))) == told
+
+
 class Slow(Model):
     """One stable mode."""
 
