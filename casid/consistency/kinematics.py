@@ -13,7 +13,7 @@ import numpy as np
 from casid.arrays import BoolArray
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.alone import one_alone
-from casid.consistency.apart import Apart
+from casid.consistency.apart import Apart, known, stands_apart
 from casid.consistency.comparisons import ChannelCheck, judged
 from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
@@ -209,7 +209,10 @@ def _reconstructed(
     bare = [each.only(names) for each in flights]
     flights, solution, signs = set_upright(bare, equations, names, labels)
     bare, solution, drifts = without_drifts(flights, equations, solution)
-    solution, apart = one_alone(bare, equations, solution)
+    if drifts.late:  # skews are those at the start of records then, and as uncertain
+        apart = stands_apart(solution, known(solution))
+    else:
+        solution, apart = one_alone(bare, equations, solution)
     if by_record := clocks_by_record(bare, equations, solution, labels):
         return KinematicCheck(
             channels=(), residuals={}, notes=tuple(notes), further=by_record, by_record=by_record

@@ -235,7 +235,7 @@ def recorded(path, record):
         ({}, None, None),
         ({}, "theta", "theta has the opposite sign"),
         (dict.fromkeys(bodies.SPEEDS, 0.06), None, "u v w are 0.0"),
-        (dict.fromkeys(bodies.ATTITUDES, 0.06), None, "phi theta are 0.06"),
+        (dict.fromkeys(bodies.ATTITUDES, 0.06), None, "phi theta are 0.0"),
     ],
     ids=["good", "theta", "velocities", "attitudes"],
 )
@@ -261,6 +261,7 @@ def test_a_drafted_study_judges_as_the_records_of_the_log_are_judged(
         assert all(said.startswith(begin) for said in remarks)
     assert {*kinematic_check(flown).shifts} == {*draft.moves} == {*late}
     if late:  # the shift that the draft offers mends the study
+        np.testing.assert_allclose([*kinematic_check(flown).shifts.values()], -0.06, atol=0.01)
         draft.study.write_text(draft.study.read_text().replace("# shift = {", "shift = {"))
         mended = read_flights(read_study(draft.study))[0]["identification"]
         assert kinematic_check(mended).remarks == ()
