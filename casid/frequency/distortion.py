@@ -103,7 +103,7 @@ def distortion(records: Records, *, omega: Array | None = None) -> Distortion:
     groups, sizes = _by_amplitude(flown)
     grid = SpectralAnalysis(omega=omega).fit(groups[1]).omega
     low, high = (SpectralAnalysis(omega=grid).fit(group) for group in groups)
-    both = (low.error < KNOWN) & (high.error < KNOWN)
+    both = (low.random_error < KNOWN) & (high.random_error < KNOWN)
     noise, excess = _difference(low, high, both)
     mean = np.abs(low.G + high.G) / 2
     squared = np.where(both, np.abs(high.G - low.G) ** 2 / mean**2 / 2 - noise**2, np.nan)

@@ -44,6 +44,7 @@ SPACINGS, EQUATIONS = 5.0, 9.0  # half width in distances of lines, equations pe
 QUADRATIC, CUBIC = 3, 4  # powers of x in numerators of pairs
 SURE = 2.0  # of the noise of a difference that is no bias
 LENGTH = 0.25  # of the most power near a frequency: records of less do not widen models for it
+SEEN = 0.2  # random error of a response that is there, and no noise
 KERNEL = 0.33  # correlation of two local estimates, as a spectral window's width over a half width
 
 
@@ -110,13 +111,17 @@ def _between_samples(
     if not held:
         return between
     high = np.array([np.pi / 2 / held])
-    stretches = lines_at(records, high, references)
-    beyond, error, *_, outputs, inputs = _at_all(stretches, high, QUADRATIC)
-    if references:
-        beyond, error, *_ = of_inputs(beyond, error, outputs, inputs, references)
+    stretches, found = lines_at(records, high, references), []
+    for powers in (QUADRATIC, CUBIC):
+        beyond, error, *_, outputs, inputs = _at_all(stretches, high, powers)
+        if references:
+            beyond, error, *_ = of_inputs(beyond, error, outputs, inputs, references)
+        found.append((np.abs(beyond), error))
+    (beyond, error), (other, _) = found
     last = np.take_along_axis(G, len(G) - 1 - np.isfinite(G[::-1]).argmax(axis=0)[None], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        direct = np.abs(np.where(error < 1, beyond, last)) / np.abs(G)
+        there = (error < SEEN) & (np.abs(other - beyond) < beyond / 2)  # nor what a record's end is
+        direct = np.where(there, beyond, np.abs(last)) / np.abs(G)
     return np.hypot(between, held * omega[:, None, None] / 2 * direct)
 
 
