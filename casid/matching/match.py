@@ -15,7 +15,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.declaration import check_priors
-from casid.errors import ConvergenceError
+from casid.display import listed
+from casid.errors import ConvergenceError, warn
 from casid.estimates import constraint_table, held_directions, parameter_table
 from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
@@ -25,6 +26,7 @@ from casid.matching.conditions import fit_at_conditions
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import MatchResult, MatchSearch
 from casid.matching.targets import REACHABLE, SIZE, Target, Weight, check_weight_name, comparison_of
+from casid.matching.untold import untold
 from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
@@ -108,6 +110,12 @@ class Match:
         LOG.info("%s: cost %.6g, %d iterations, %.2f s", *told)
         if not fit.success:
             raise ConvergenceError(f"match {self.norm}: {fit.status}", best=fit)
+        active = np.array([fit.parameters[i].active for i in free.index], dtype=bool)
+        if names := untold(free, search.comparison, found.values, active):
+            warn(
+                f"match: the targets do not determine {listed(names)}: their values are where the "
+                "search ended; fix or tie some of them, or add a target that tells them apart"
+            )
         return fit
 
     def prepared(
