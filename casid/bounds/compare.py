@@ -143,7 +143,7 @@ def compare_bounds(
     model, fixed, bounds
         As in `Estimator.fit`, in all cases; the guess is what cases like "±20 %" refer to.
     data
-        Records or targets, whatever the estimator takes.
+        Records or targets, as the estimator takes them; not those of several flight conditions.
     cases : mapping
         Name and content of each case (`casid.bounds.cases`): ``{"free": {}, "signs": {"Lp": "<
         0"}}``.

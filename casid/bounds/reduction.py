@@ -107,7 +107,7 @@ class ReductionRule:
     Raises
     ------
     ModelError
-        Another criterion.
+        Another criterion, a rise below 0, no candidate, a step to be taken again that is protected.
     """
 
     criterion: str | None = None
@@ -119,6 +119,15 @@ class ReductionRule:
     def __post_init__(self) -> None:
         if self.criterion not in (None, *CRITERIA):
             raise ModelError(f"criterion={self.criterion!r}: expected one of {', '.join(CRITERIA)}")
+        if not self.rise >= 0:
+            raise ModelError(f"rise={self.rise!r}: expected a share of the cost, 0 or more")
+        if self.candidates < 1:
+            raise ModelError(f"candidates={self.candidates!r}: expected 1 or more a step")
+        if both := [name for name in self.replay or {} if name in self.protect]:
+            raise ModelError(
+                f"{both[0]} is to be held again (replay) and never to be held (protect): leave it "
+                "out of one"
+            )
 
 
 def reduce_structure(
