@@ -21,7 +21,8 @@ from casid.shooting.programme import Blocks, Programme, Scales
 from casid.shooting.sensitivity import Evaluator, Point
 
 SURPRISE = 0.5  # share of the inputs' effect that the starting model may miss
-FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's movement
+FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
+MOST = 10.0  # times its movement, that a channel's distance from zero counts for
 OTHER = 4.0  # times the variances of a fit: residuals that are not of its motion
 
 
@@ -54,7 +55,8 @@ def noise_of(evaluator: Evaluator, given: Array | None, kind: CovarianceKind) ->
     """Noise model of the records, R held at ``given`` unless that is None."""
     layout = evaluator.layout
     counts = np.bincount(layout.pattern, minlength=len(layout.patterns))
-    return Noise(layout.patterns, counts, FLOOR * movement(evaluator), kind, given)
+    size = np.minimum(channel_size(evaluator), MOST * movement(evaluator))
+    return Noise(layout.patterns, counts, FLOOR * size, kind, given)
 
 
 def starting_programme(
