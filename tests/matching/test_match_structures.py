@@ -1,12 +1,24 @@
 """Any structure: random ones never leave a bare traceback, and known kinds are recovered."""
 
+import warnings
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from truths.structures import black_box
 
-from casid import ConvergenceError, Fit, Model, SolverOptions, StateSpace, match, parameter
+from casid import (
+    ConvergenceError,
+    DataWarning,
+    Fit,
+    Model,
+    SolverOptions,
+    StateSpace,
+    match,
+    parameter,
+)
 
 FEW = SolverOptions(max_iterations=150)
 
@@ -144,7 +156,10 @@ def test_black_box_order_need_not_be_the_structures(order):
     A = np.diag(-np.linspace(1.0, 9.0, order))
     other = system(A, rng.standard_normal((order, 1)), rng.standard_normal((3, order)))
     structure, _ = build(truth, free={"A": nonzero(truth.A), "B": nonzero(truth.B)})
-    fit = match(structure(), black_box(other))
+    # An order less than the structure's leaves some of its parameters open.
+    told = pytest.warns(DataWarning, match="do not determine a0_0") if order == 1 else nullcontext()
+    with told:
+        fit = match(structure(), black_box(other))
     assert fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
 
 
@@ -183,7 +198,9 @@ def attempt(problem):
     """The fit and whether it was believed; a refusal of the arguments gives None."""
     model, truth, norm, weight = problem
     try:
-        return match(model, black_box(truth), norm=norm, weight=weight, solver=FEW)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataWarning)  # of what A and C alone leave open
+            return match(model, black_box(truth), norm=norm, weight=weight, solver=FEW)
     except ConvergenceError as error:
         return error.best
     except ValueError as error:
