@@ -107,14 +107,16 @@ def test_what_held_inputs_leave_open_of_direct_terms_is_stated(known):
     u = rng.standard_normal((2000, 1)) if known else np.sin(0.3 * t + 0.075 * t**2 / 2)[:, None]
     lag = scipy.signal.StateSpace([[-2.0]], [[2.0]], [[1.0], [-2.0]], [[0.0], [3.0]])
     pulse = lag.to_discrete(dt)
-    y = scipy.signal.dlsim(pulse, u)[1] + 1e-4 * rng.standard_normal((2000, 2))
+    noise = 1e-4 if known else 3e-2  # which is all there is where the sine has no power
+    y = scipy.signal.dlsim(pulse, u)[1] + noise * rng.standard_normal((2000, 2))
     found = local_response([Record(t, u, y, ("u",), ("y", "a"), "held", "zoh")], omega)
     true = np.array([lag.C @ lag.B / (1j * w + 2.0) + lag.D for w in omega])[..., 0]
     off = np.abs(found.G[..., 0] / true - 1)
     stated = found.leakage[..., 0]
     assert (off <= 1.1 * np.hypot(stated, 3 * found.random_error[..., 0])).all()
     assert off[-1, 1] > 0.15  # half a sample of the direct term
-    assert (stated[:, 1] < 1.5 * off[:, 1]).all()
+    assert (stated[:, 1] < 1.5 * off[:, 1] + 3 * found.random_error[:, 1, 0]).all()
+    assert (stated[:, 0] < omega * dt).all()
     if known:  # that the other output has none is seen where the steps have power
         assert (stated[:, 0] < 0.5 * omega * dt / 2).all()
 
