@@ -83,7 +83,7 @@ class DerividNotes:
     guidelines : Guidelines
         What the rows are judged by.
     covered : mapping
-        Spans of airspeed and tables of the flight conditions; of one none.
+        Spans of airspeed and tables of flight conditions, where there are any.
     """
 
     pairs: tuple[PairCost, ...]

@@ -201,9 +201,9 @@ def compare_structures(
             for k, each in enumerate(ends.values())
             if (fit := each[number].result) is not None and not each[number].reason
         }
+        rows, judged = list(shown), list(shown.values())
         for i in part if shown else ():
-            rows = list(shown)
-            errors[rows, i], noise[rows, i] = _judged(list(shown.values()), flown[i], outputs)
+            errors[rows, i], noise[rows, i] = _judged(judged, flown[i], outputs)
     return StructureComparison(
         names=tuple(candidates),
         manoeuvres=tuple(flown[i].name for i in left),

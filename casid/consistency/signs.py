@@ -35,7 +35,7 @@ FAR = 0.2  # of one: gains that matter beside what is left
 
 @dataclass(frozen=True, kw_only=True)
 class Signs:
-    """Channels with the opposite sign."""
+    """Channels with the opposite sign, or velocities of another unit."""
 
     turned: str = ""  # an attitude or velocity
     unit: str = ""  # of velocities, if not m/s

@@ -54,7 +54,7 @@ class MatchNotes:
     """What a match tells beside its estimates.
 
     ``start`` is the one that led to them, ``weight`` the name of the weights, "given" of arrays;
-    ``covered`` has the spans of airspeed and tables of the flight conditions, of one none.
+    ``covered`` has the spans of airspeed and tables of flight conditions, where there are any.
     """
 
     start: str

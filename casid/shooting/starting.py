@@ -22,7 +22,7 @@ from casid.shooting.sensitivity import Evaluator, Point
 
 SURPRISE = 0.5  # share of the inputs' effect that the starting model may miss
 FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
-MOST = 10.0  # times its movement, that a channel's distance from zero counts for
+MOST = 10.0  # deviations that a channel's distance from zero counts for
 OTHER = 4.0  # times the variances of a fit: residuals that are not of its motion
 
 
@@ -35,7 +35,7 @@ def channel_size(evaluator: Evaluator) -> Array:
     return np.where(size > 0, size, 1.0)
 
 
-def movement(evaluator: Evaluator) -> Array:
+def deviation(evaluator: Evaluator) -> Array:
     """Standard deviation of every output (ny,) within the records; 1 where it never moves.
 
     However far from zero a channel is, its noise is as small as its digits let it be.
@@ -55,7 +55,7 @@ def noise_of(evaluator: Evaluator, given: Array | None, kind: CovarianceKind) ->
     """Noise model of the records, R held at ``given`` unless that is None."""
     layout = evaluator.layout
     counts = np.bincount(layout.pattern, minlength=len(layout.patterns))
-    size = np.minimum(channel_size(evaluator), MOST * movement(evaluator))
+    size = np.minimum(channel_size(evaluator), MOST * deviation(evaluator))
     return Noise(layout.patterns, counts, FLOOR * size, kind, given)
 
 
