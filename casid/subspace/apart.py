@@ -19,7 +19,8 @@ from casid.subspace.weighing import smoothed
 
 POINTS = 12  # frequencies of the band at which two models are compared
 SELDOM = 0.01  # level of the test of a likelihood, all outputs together
-FAR = 2.0  # stated errors, rms over the band: as much as a 95 % interval has to either side
+PART = 3  # of these, over which a distance is averaged: what is missed may be a quarter of the band
+FAR = 3.0  # stated errors, rms: clearly more than a 95 % interval has to either side
 ROUNDING = 1e-8  # relative errors of a response that are of arithmetic, whatever is stated
 
 Uncertainty = refinement.ResponseUncertainty | SampledUncertainty
@@ -84,7 +85,8 @@ def _farthest(
     """The pair of a needed output whose responses are farthest apart; None where none is `FAR`."""
     at = np.geomspace(*band, POINTS)
     z = errors_apart(system, other, uncertainty, at)
-    far = np.where(needed[:, None], np.sqrt(np.mean(z**2, axis=0)), 0.0)
+    near = np.lib.stride_tricks.sliding_window_view(z, PART, axis=0)
+    far = np.where(needed[:, None], np.sqrt(np.mean(near**2, axis=-1)).max(axis=0), 0.0)
     i, j = np.unravel_index(np.argmax(far), far.shape)
     if not far[i, j] > FAR:
         return None

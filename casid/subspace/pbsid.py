@@ -173,7 +173,8 @@ class Pbsid:
         windows = self._windows(settings, len(campaign.sy))
         found = campaign.subspace(settings.order, windows)
         move, pole = self.refine, settings.pole
-        return refine_projected(campaign, found, pole, move=move, windows=windows)
+        chosen = self.order is None
+        return refine_projected(campaign, found, pole, move=move, windows=windows, chosen=chosen)
 
     def _better(self, campaign: Campaign, projected: BlackBox) -> BlackBox:
         """The black box of projections, or of samples if that predicts clearly better."""

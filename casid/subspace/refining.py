@@ -83,10 +83,13 @@ def refine_projected(
     *,
     move: bool,
     windows: Windows | None = None,
+    chosen: bool = False,
 ) -> Estimate:
     """By Fourier transforms, or under feedback by prediction errors; unrefined without ``move``.
 
-    With ``windows``, models of other orders are made with them, which show what is to be doubted.
+    With ``windows``, models of other orders are made with them, which show what is to be doubted:
+    of a higher order a refined one where the order was ``chosen`` and may be raised, else a rough
+    one, that may leave more than fewer states do.
     """
     system, K, R = found.system, found.K, found.residual_covariance
     su, sy, mask = campaign.su, campaign.sy, campaign.mask
@@ -103,7 +106,8 @@ def refine_projected(
         refined, uncertainty = refine(refined, data, su, sy, mask, pole, decaying=undecided)
         grows = growth(refined, data, su, sy, mask)
     K = carried_gain(system, K, refined, R)
-    richer = _at_order(campaign, refined.nx + 2, windows, data) if windows else None
+    higher = refined.nx + 2
+    richer = _at_order(campaign, higher, windows, data, rough=not chosen) if windows else None
     band = campaign.band(pole)
     missed = missed_dynamics(refined, richer, data, su, sy, band) if richer else None
     taken = Estimate(refined, K, uncertainty, missed=missed)  # inputs as they are
@@ -194,7 +198,7 @@ def _unfound(
 ) -> ComplexArray:
     """Growing modes that a model of one state less does not find, though it may well."""
     su, sy, pole = campaign.su, campaign.sy, windows.pole
-    fewer = _at_order(campaign, refined.nx - 1, windows, data)
+    fewer = _at_order(campaign, refined.nx - 1, windows, data, rough=True)
     none = np.zeros(0, dtype=complex)
     if fewer is None or not len(modes := unsteady_growth(refined, fewer, data)):
         return none
@@ -207,15 +211,15 @@ def _unfound(
 
 
 def _at_order(
-    campaign: Campaign, order: int, windows: Windows, data: Sequence[Spectrum]
+    campaign: Campaign, order: int, windows: Windows, data: Sequence[Spectrum], *, rough: bool
 ) -> StateSpace | None:
-    """A model of another order, refined in one round; None where the windows give none."""
+    """A refined model of another order; None where the windows give none."""
     if not 1 <= order <= min(windows.past, windows.future) * len(campaign.sy):
         return None
     try:
         start = campaign.subspace(order, windows).system
         scales = campaign.su, campaign.sy, campaign.mask
-        return refined_system(start, data, *scales, windows.pole, rough=True)
+        return refined_system(start, data, *scales, windows.pole, rough=rough)
     except (ValueError, np.linalg.LinAlgError):
         return None
 
