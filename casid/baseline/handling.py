@@ -16,7 +16,9 @@ Open loop, MIL-DTL-9490E: the phase margin is 180° plus the phase where the gai
 gain margin minus the gain where the phase passes -180°; 45° and 6 dB are wanted. With several
 crossings the least in magnitude counts; a negative gain margin is that against a loss of gain, a
 negative phase margin where the gain rises that against a phase lead. Where the gain falls for the
-last time, a negative phase margin means that the closed loop is unstable, however large it is.
+last time, a negative phase margin means that the closed loop is unstable, however large it is. So
+does a phase that passes -180° more often downwards than upwards where the gain is above 0 dB: these
+are encirclements of -1 (Nyquist), which an unstable aircraft would need the other way round.
 """
 
 from collections.abc import Sequence
@@ -216,6 +218,22 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
         gain_margin, omega_180 = float(spare[k]), float(np.exp(at_phase[k]))
     else:
         remarks.append("the phase does not pass -180° in the band: no gain margin in it")
+    unstable = _instability(found, at_gain)
+    remarks += unstable
+    wide = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
+    places = np.concatenate([at_gain, at_phase])
+    near = [int(np.argmin(np.abs(x - place))) for place in places]
+    remarks += _doubts(gamma[near])
+    known = np.isfinite(phase_margin) and np.isfinite(gain_margin)
+    satisfactory = wide and not unstable if known else None
+    found = replace(found, omega_180=omega_180, crossover=crossover, satisfactory=satisfactory)
+    found = replace(found, phase_margin=phase_margin, gain_margin=gain_margin)
+    return replace(found, remarks=tuple(remarks))
+
+
+def _instability(found: HandlingQualities, at_gain: Array) -> list[str]:
+    """Why the closed loop is unstable; empty where nothing says so."""
+    x = np.log(found.omega)
     falling = _passing(x, found.gain_db, 0.0, downwards=True, turns=False)
     lost = falling[_phase_margin(falling, x, found.phase_deg) < 0]
     if len(lost):
@@ -224,25 +242,33 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
             "and only counting encirclements tells"
             for at in np.exp(at_gain[at_gain > lost[-1]])
         ]
-        remarks.append(
+        return [
             f"the phase is below -180° where the gain falls through 0 dB, at {np.exp(lost[0]):.3g} "
             f"rad/s: the closed loop is unstable{''.join(unless[:1])}; if it flies, "
             "check the sign of the loop"
-        )
-    wide = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
-    places = np.concatenate([at_gain, at_phase])
-    near = [int(np.argmin(np.abs(x - place))) for place in places]
-    remarks += _doubts(gamma[near])
-    known = np.isfinite(phase_margin) and np.isfinite(gain_margin)
-    satisfactory = wide and not len(lost) if known else None
-    found = replace(found, omega_180=omega_180, crossover=crossover, satisfactory=satisfactory)
-    found = replace(found, phase_margin=phase_margin, gain_margin=gain_margin)
-    return replace(found, remarks=tuple(remarks))
+        ]
+    around = _encirclements(found)
+    if around <= 0:
+        return []
+    return [
+        f"above 0 dB the phase passes -180° downwards {around} time(s) more than upwards: the "
+        "closed loop is unstable, unless the phase rises through it below the band; if it flies, "
+        "check the sign of the loop"
+    ]
 
 
 def _phase_margin(at: Array, x: Array, phase: Array) -> Array:
     """Phase above -180°, in [-180°, 180°), at places in log ω."""
     return np.asarray((np.interp(at, x, phase) + 360) % 360 - 180)
+
+
+def _encirclements(found: HandlingQualities) -> int:
+    """Clockwise encirclements of -1 by the curve at positive frequencies, as far as it goes."""
+    x, counts = np.log(found.omega), []
+    for way in (1, -1):  # downwards, upwards
+        at = _passing(x, way * found.phase_deg, -180.0 * way, downwards=True)
+        counts.append(int(np.sum(np.interp(at, x, found.gain_db) > 0)))
+    return counts[0] - counts[1]
 
 
 def _passing(

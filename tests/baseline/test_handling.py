@@ -95,6 +95,41 @@ def test_an_unstable_loop_is_not_satisfactory_however_far_from_the_critical_poin
     assert any("the closed loop is unstable" in remark for remark in read.remarks)
 
 
+def rational(num, den):
+    return response(
+        lambda s: np.polyval(num, s) / np.polyval(den, s), np.geomspace(1e-3, 1e4, 6000)
+    )
+
+
+def test_a_loop_that_encircles_the_critical_point_is_not_satisfactory():
+    # Two light modes turn the phase by a whole turn above 0 dB: both margins look wide.
+    modes = np.polymul([1, 0.2, 100], [1, 0.22, 121])
+    num, den = [100 * 121.0], np.polymul([1, 0], modes)
+    assert np.roots(np.polyadd(den, num)).real.max() > 0  # closed loop
+    read = handling_qualities(rational(num, den), ("phi", "lat"), kind="loop")
+    assert abs(read.phase_margin) > 45
+    assert abs(read.gain_margin) > 6
+    assert read.satisfactory is False
+    (remark,) = read.remarks
+    assert "downwards 1 time(s) more than upwards: the closed loop is unstable" in remark
+
+
+@pytest.mark.slow
+def test_loops_said_to_encircle_the_critical_point_are_unstable_when_closed():
+    rng, said = np.random.default_rng(4), 0
+    for _ in range(500):
+        size = np.exp(rng.uniform(-1, 3, size=4))
+        damping = rng.choice([-0.1, 0.05, 0.7], size=2, p=[0.3, 0.4, 0.3])
+        den = np.polymul(*([1, 2 * z * w, w**2] for z, w in zip(damping, size, strict=False)))
+        num = np.exp(rng.uniform(-1, 4)) * np.polymul([1, size[2]], [1, size[3]])
+        num *= rng.choice([-1, 1])
+        read = handling_qualities(rational(num, den), ("phi", "lat"), kind="loop")
+        if any("more than upwards" in remark for remark in read.remarks):
+            said += 1
+            assert np.roots(np.polyadd(den, num)).real.max() > 0
+    assert said > 20
+
+
 def test_a_stable_loop_around_an_unstable_aircraft_is_satisfactory():
     # Closed, s² + 7.5 s + 1: stable. The gain rises through 0 dB with the phase beyond 180°.
     read = handling_qualities(response(lambda s: 8 * s / (s**2 - 0.5 * s + 1), OMEGA),
