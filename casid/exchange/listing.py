@@ -15,20 +15,20 @@ BINARY = {
     ca.OP_SUB: "{} - {}",
     ca.OP_MUL: "{} * {}",
     ca.OP_DIV: "{} / {}",
-    ca.OP_FMIN: "min({}, {})",
-    ca.OP_FMAX: "max({}, {})",
+    ca.OP_FMIN: "{least}({}, {})",
+    ca.OP_FMAX: "{most}({}, {})",
     ca.OP_LT: "({} < {}) + 0.0",
     ca.OP_LE: "({} <= {}) + 0.0",
     ca.OP_EQ: "({} == {}) + 0.0",
-    ca.OP_NE: "({0} < {1}) + ({0} > {1})",  # the languages spell unequal differently
-    ca.OP_AND: "(abs({}) > 0) * (abs({}) > 0)",
+    ca.OP_NE: "({0} < {1}) + ({0} > {1}) + 0.0",  # the languages spell unequal differently
+    ca.OP_AND: "(abs({}) > 0) * (abs({}) > 0) + 0.0",
     ca.OP_OR: "((abs({}) > 0) + (abs({}) > 0) > 0) + 0.0",
     ca.OP_COPYSIGN: "abs({}) * (1 - 2 * ({} < 0))",
     ca.OP_ATAN2: "atan2({}, {})",
     ca.OP_HYPOT: "hypot({}, {})",
     ca.OP_POW: "{} {power} {}",
     ca.OP_CONSTPOW: "{} {power} {}",
-    ca.OP_IF_ELSE_ZERO: "{} * {}",  # of a condition, 0 or 1
+    ca.OP_IF_ELSE_ZERO: "if_true({}, {})",
 }
 UNARY = {
     ca.OP_ASSIGN: "{}",
@@ -38,7 +38,7 @@ UNARY = {
     ca.OP_INV: "1 / {}",
     ca.OP_NOT: "1 - {}",
     ca.OP_FABS: "abs({})",
-    ca.OP_SIGN: "({0} > 0) - ({0} < 0)",
+    ca.OP_SIGN: "({0} > 0) + 0.0 - ({0} < 0)",
 } | {
     getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})"
     for name in (
@@ -47,6 +47,10 @@ UNARY = {
     )
 }
 
+WORDS = {  # of a language, what is spelled otherwise; numbers of NumPy are as those of C
+    "py": {"power": "**", "least": "fmin", "most": "fmax", "input": "float64({})"},
+    "m": {"power": "^", "least": "min", "most": "max", "input": "{}"},
+}
 MATLAB = """function [dx, y] = {name}(x, u)
 %{upper} {about}
 %   States x: {states}
@@ -58,13 +62,23 @@ dx = zeros({nx}, 1);
 y = zeros({ny}, 1);
 {body}
 end
+
+function z = if_true(condition, value)
+% VALUE, which may not exist elsewhere, where CONDITION holds; zero elsewhere.
+z = 0;
+if condition
+    z = value;
+end
+end
 """
 PYTHON = '''"""{about}
 
 scipy.integrate.solve_ivp(lambda t, x: equations(x, u_of(t))[0], (0.0, 10.0), X0, rtol=1e-8)
+NumPy 2 or newer.
 """
 
-from math import *
+from numpy import *
+from scipy.special import erf
 
 STATES = {states!r}
 INPUTS = {inputs!r}
@@ -74,6 +88,12 @@ X0 = {x0!r}
 U0 = {u0!r}
 
 
+def if_true(condition, value):
+    """The value, which may not exist elsewhere, where a condition holds; zero elsewhere."""
+    return value if condition else 0.0
+
+
+@errstate(all="ignore")
 def equations(x, u):
     """dx/dt and outputs, lists of {nx} and {ny}, of states and inputs."""
     dx, y = [0.0] * {nx}, [0.0] * {ny}
@@ -107,13 +127,13 @@ def write_equations(path: str | Path, found: Equations, *, title: str = "") -> N
     told = {"about": said or f"Equations of {path.stem}.", "nx": len(found.x0)}
     told |= {"ny": len(found.outputs), "x0": found.x0.tolist(), "u0": found.u0.tolist()}
     if path.suffix == ".py":
-        body = "\n".join(f"    {line}" for line in _lines(found.function, power="**", first=0))
+        body = "\n".join(f"    {line}" for line in _lines(found.function, "py"))
         names = {name: getattr(found, name) for name in ("states", "inputs", "outputs")}
         own = (*found.states, *found.inputs, *found.outputs)
         units = {name: found.units[name] for name in own if name in found.units}
         text = PYTHON.format(**told, **names, units=units, body=body)
     else:
-        body = "\n".join(f"{line};" for line in _lines(found.function, power="^", first=1))
+        body = "\n".join(f"{line};" for line in _lines(found.function, "m"))
         names = {
             name: ", ".join(f"{n} [{found.units.get(n, '-')}]" for n in getattr(found, name))
             for name in ("states", "inputs", "outputs")
@@ -122,24 +142,24 @@ def write_equations(path: str | Path, found: Equations, *, title: str = "") -> N
     write_text(path, text)
 
 
-def _lines(function: ca.Function, *, power: str, first: int) -> list[str]:
-    """A statement an operation; entries count from ``first``, in brackets of the language."""
-    left, right = ("(", ")") if first else ("[", "]")
-    lines = []
+def _lines(function: ca.Function, language: str) -> list[str]:
+    """A statement an operation, entries in the brackets of "py" or "m" and counted as there."""
+    words, lines = WORDS[language], []
+    left, right, first = "()1" if language == "m" else "[]0"
     for k in range(function.n_instructions()):
         op, into = function.instruction_id(k), function.instruction_output(k)
         of = [f"w{i}" for i in function.instruction_input(k)]
         if op == ca.OP_OUTPUT:
             which, entry = into
-            lines.append(f"{('dx', 'y')[which]}{left}{entry + first}{right} = {of[0]}")
+            lines.append(f"{('dx', 'y')[which]}{left}{entry + int(first)}{right} = {of[0]}")
             continue
         if op == ca.OP_INPUT:
             which, entry = function.instruction_input(k)
-            text = f"{'xu'[which]}{left}{entry + first}{right}"
+            text = words["input"].format(f"{'xu'[which]}{left}{entry + int(first)}{right}")
         elif op == ca.OP_CONST:
-            text = repr(float(function.instruction_constant(k)))
+            text = words["input"].format(float(function.instruction_constant(k)))
         elif op in UNARY or op in BINARY:
-            text = (UNARY | BINARY)[op].format(*of, power=power)
+            text = (UNARY | BINARY)[op].format(*of, **words)
         else:
             name = next(n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op)
             raise ValueError(

@@ -16,9 +16,12 @@ from models.longitudinal_aero import LongitudinalAero
 
 def as_matlab(text, x, u):
     """What MATLAB computes: the statements with Python's brackets and power."""
-    scope = {name: getattr(np, name) for name in ("sin", "cos", "tan", "tanh", "exp", "sqrt")}
+    scope = {
+        name: getattr(np, name) for name in ("sin", "cos", "tan", "tanh", "exp", "log", "sqrt")
+    }
     scope |= {"min": min, "max": max, "x": x, "u": u}
-    own = text[text.index("dx = ") : text.rindex("end")]
+    scope["if_true"] = lambda condition, value: value if condition else 0.0
+    own = text[text.index("dx = ") : text.index("\nend\n")]
     own = re.sub(r"zeros\((\d+), 1\)", r"[0.0] * \1", own).replace("^", "**").replace(";", "")
     own = re.sub(r"\b(x|u|dx|y)\((\d+)\)", lambda m: f"{m[1]}[{int(m[2]) - 1}]", own)
     exec(own, scope)
@@ -72,6 +75,33 @@ def test_conditions_and_signs_have_a_form_in_text(tmp_path):
         for other in (module["equations"](at, [0.0]), as_matlab(text, at, [0.0])):
             for one, own in zip(known, other, strict=True):
                 np.testing.assert_array_equal(own, one)
+
+
+def test_branches_that_are_not_taken_need_no_value(tmp_path):
+    # As of an angle of attack at rest: what is asked for stays finite, and is not real elsewhere.
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 1)
+    angle = ca.if_else(x[0] > 0.1, x[1] / x[0], 0.0)
+    root = ca.if_else(x[1] > 0, ca.sqrt(x[1]) + x[1] ** 1.5, 2.0)
+    told = ca.Function("equations", [x, u], [ca.vertcat(angle, root), ca.log(x[1])])
+    found = replace(
+        equations_of(AIRCRAFT, 1),
+        states=("a", "b"),
+        inputs=("c",),
+        outputs=("d",),
+        x0=np.zeros(2),
+        u0=np.zeros(1),
+        function=told,
+    )
+    write_equations(tmp_path / "own.py", found)
+    write_equations(tmp_path / "own.m", found)
+    module, text = runpy.run_path(str(tmp_path / "own.py")), (tmp_path / "own.m").read_text("utf-8")
+    for at in ([0.0, -1.0], [1.0, -2.0], [0.0, 1.0], [2.0, 4.0]):
+        known = [part.full().ravel() for part in told(at, [0.0])]
+        with np.errstate(all="ignore"):
+            matlab = as_matlab(text, np.array(at), [0.0])
+        for other in (module["equations"](at, [0.0]), matlab):
+            for one, own in zip(known, other, strict=True):
+                np.testing.assert_allclose(own, one, rtol=1e-12)
 
 
 def test_an_operation_without_a_form_is_named(tmp_path):
