@@ -3,7 +3,6 @@
 from collections.abc import Collection
 
 import numpy as np
-import scipy
 import scipy.linalg
 
 from casid.arrays import Array
@@ -85,12 +84,25 @@ def _delay_line(system: StateSpace, j: int, pade: int | None) -> tuple[Array, Ar
     elif tau:
         if pade is None or not 1 <= pade <= 10:
             raise ValueError(f"pade={pade}: expected an order of 1 to 10")
-        import control  # noqa: PLC0415 - slow to import, and only wanted here
-
-        numerator, denominator = control.pade(tau, pade)
-        line = scipy.signal.tf2ss(numerator, denominator)
-        return tuple(np.atleast_2d(part) for part in line)  # type: ignore[return-value]
+        return _all_pass(tau, pade)
     return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
+
+
+def _all_pass(tau: float, n: int) -> tuple[Array, Array, Array, Array]:
+    """The (n, n) Padé approximation of exp(-s τ) in balanced states: A + Aᵀ = -b bᵀ.
+
+    With z = s τ/2 its denominator is zⁿ y_n(1/z), y_n Bessel's polynomials, whose recurrence
+    y_k = (2k - 1) p y_{k-1} + y_{k-2} is that of the characteristic polynomials of Schwarz matrices
+    F(k) in p. A companion form has entries up to (n/τ)ⁿ, and loses all digits.
+    """
+    k = np.arange(1, n)
+    off = np.diag(1 / np.sqrt(4.0 * k**2 - 1), -1)
+    F = off - off.T
+    F[0, 0] = -1.0
+    A = 2 / tau * np.linalg.inv(F)
+    b = np.sqrt(tau) * A[:, :1]
+    D = np.array([[(-1.0) ** n]])
+    return A, b, -D * b.T, D
 
 
 def check_continuous(system: StateSpace) -> None:

@@ -1,5 +1,6 @@
 """Delays as states."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,22 @@ def test_a_pade_approximation_is_all_pass_and_right_in_phase_within_its_band(sys
     low = OMEGA[OMEGA < 15]
     # The error of the (3, 3) approximation is (ω τ)^7 / 1e5: 2e-4 at ω τ = 1.5.
     np.testing.assert_allclose(plain.response(low), late.response(low), rtol=5e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("tau", [0.001, 0.05, 2.0])
+@pytest.mark.parametrize("order", [1, 2, 5, 10])
+def test_states_of_a_pade_approximation_are_balanced(system, tau, order):
+    late = replace(system, delay=[tau, 0.0])
+    plain = without_delay(late, order)
+    A, B = plain.A[3:, 3:], plain.B[3:, :1]
+    np.testing.assert_allclose(A + A.T, -B @ B.T, rtol=1e-9, atol=1e-9 * np.abs(A).max())
+    # exp(x) = N(x)/N(-x), N's coefficients (2n - k)! n! / ((2n)! k! (n - k)!).
+    n, f = order, math.factorial
+    rising = [f(2 * n - k) * f(n) / (f(2 * n) * f(k) * f(n - k)) for k in range(n, -1, -1)]
+    x = 1j * np.array([0.0, 0.3, 2.0, 9.0])
+    pade = np.polyval(rising, -x) / np.polyval(rising, x)
+    wanted = system.response(x.imag / tau)[:, :, 0] * pade[:, None]
+    np.testing.assert_allclose(plain.response(x.imag / tau)[:, :, 0], wanted, rtol=1e-9)
 
 
 def test_delays_of_a_discrete_model_become_states_exactly(system):
