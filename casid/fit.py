@@ -12,7 +12,7 @@ from casid.checks import checked
 from casid.display import Shown
 from casid.errors import ModelError, warn
 from casid.model import M, Model
-from casid.textfile import read_json, stored_number, write_json
+from casid.textfile import read_json, stored_number, write_result
 from casid.values import check_digest, decode, encode, seal, storable
 
 M_co = TypeVar("M_co", bound=Model, covariant=True)
@@ -170,7 +170,7 @@ class Fit(Shown, Generic[M_co, N_co]):
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all."""
         head = {"casid": "fit", "version": VERSION, "system": encode(_numbers(self.model))}
-        write_json(path, head | encode(self)["fields"])
+        write_result(path, head | encode(self)["fields"])
 
     @classmethod
     @checked
@@ -183,13 +183,12 @@ class Fit(Shown, Generic[M_co, N_co]):
         ------
         ValueError, ModelError
             Not a fit, the fit of another structure or of one whose equations were others, tables
-            that do not agree with the model, or a stage's file that was changed.
+            that do not agree with the model, or a file that was changed.
         """
         content = read_json(path)
         if not is_fit(content):
             raise ValueError(f"{path}: not a fit saved by casid")
-        if "result" in content:
-            check_digest(content, path)
+        check_digest(content, path)
         content = content.get("result", {"fields": content})["fields"]
         try:
             version = content.get("version", VERSION)  # a stage's file has none

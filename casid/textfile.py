@@ -9,6 +9,7 @@ import numpy as np
 
 from casid.folder import replacing
 from casid.limits import JSON_BYTES, check_file
+from casid.values import content_digest
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -20,6 +21,12 @@ def write_text(path: str | Path, text: str) -> None:
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
     """Write JSON atomically; arrays become lists, NaN and infinities become null or strings."""
     write_text(path, json.dumps(plain(content), indent=1, allow_nan=False) + "\n")
+
+
+def write_result(path: str | Path, content: Mapping[str, Any]) -> None:
+    """Write a result as JSON, whole or not at all, with the digest of what is written."""
+    held = plain(content)
+    write_json(path, held | {"digest": content_digest(held)})
 
 
 def read_json(path: str | Path) -> dict[str, Any]:

@@ -140,12 +140,31 @@ def test_the_fit_that_a_study_keeps_is_read_as_a_saved_one(tmp_path):
         Fit.load(kept, model=Lag)
 
 
+def unsealed(file):
+    """What a saved fit holds, without the digest that tells any change: so were they before."""
+    content = json.loads(file.read_text(encoding="utf-8"))
+    del content["digest"]
+    return content
+
+
+def test_any_number_that_was_changed_in_a_saved_fit_is_told(tmp_path):
+    file = tmp_path / "fit.json"
+    fit(free_names=("a", "b"), covariance=np.diag([0.01, 0.04])).save(file)
+    content = json.loads(file.read_text(encoding="utf-8"))
+    file.write_text(json.dumps(content), encoding="utf-8")  # of another layout
+    assert Fit.load(file, model=Lag).covariance[1, 1] == 0.04
+    content["covariance"]["array"][1][1] = 0.02
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ValueError, match="changed after casid wrote it.*estimate again"):
+        Fit.load(file, model=Lag)
+
+
 def test_a_fit_of_another_structure_or_no_fit_is_refused(tmp_path):
     file = tmp_path / "fit.json"
     fit().save(file)
     with pytest.raises(ModelError, match=r"holds a fit of Lag with a, b, c, U0; .* read as Other"):
         Fit.load(file, model=Other)
-    content = json.loads(file.read_text())
+    content = unsealed(file)
     del content["cost"]
     file.write_text(json.dumps(content))
     with pytest.raises(ValueError, match="the saved fit has no 'cost'"):
@@ -155,7 +174,7 @@ def test_a_fit_of_another_structure_or_no_fit_is_refused(tmp_path):
         (lambda row: row.update(fixed=0), r"a\.fixed = 0 is neither"),
     ):
         fit().save(file)
-        content = json.loads(file.read_text())
+        content = unsealed(file)
         damage(content["parameters"]["tuple"][0]["fields"])
         file.write_text(json.dumps(content))
         with pytest.raises(ValueError, match=said):
@@ -191,7 +210,7 @@ def test_a_file_edited_by_hand_is_refused_where_it_contradicts_itself(damage, sa
     whole = fit(free_names=("a", "b"), covariance=np.diag([0.01, 0.04]))
     whole.save(file)
     assert Fit.load(file, model=Lag).covariance.shape == (2, 2)
-    content = json.loads(file.read_text(encoding="utf-8"))
+    content = unsealed(file)
     damage(content)
     file.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(ValueError, match=said):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown, listed
 from casid.records import several
-from casid.textfile import read_json, write_json
+from casid.textfile import read_json, write_result
 from casid.values import DAMAGED, check_digest, decode, storable
 
 PrintedFlight = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
@@ -19,6 +19,7 @@ PrintedFlight = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
 CORRELATIONS = ("output_correlation", "input_correlation")
 POINTWISE = ("omega", *PAIRWISE, *CORRELATIONS, "multiple_coherence", "condition")
+HEAD = ("casid", "version", "digest")  # of a saved one, beside its fields
 COMPLEX = ("G", *CORRELATIONS)
 MOST = {"coherence": 1.0} | dict.fromkeys(PAIRWISE[2:], np.inf)
 ROUNDING = 1e-9
@@ -198,7 +199,7 @@ class FrequencyResponse(Shown):
         for name in COMPLEX:
             values = getattr(self, name)
             content[name] = {"real": values.real, "imag": values.imag}
-        write_json(path, {"casid": "frequency response", "version": 1} | content)
+        write_result(path, {"casid": "frequency response", "version": 1} | content)
 
     @classmethod
     def load(cls, path: str | Path) -> "FrequencyResponse":
@@ -207,17 +208,16 @@ class FrequencyResponse(Shown):
         Raises
         ------
         ValueError
-            No frequency response, a damaged one, or a stage's file that was changed.
+            No frequency response, a damaged one, or a file that was changed.
         """
         content = read_json(path)
-        kind = content.pop("casid", None)
+        kind = content.get("casid")
         if kind not in ("frequency response", "result"):
             raise ValueError(
                 f"{path}: not a frequency response saved by casid; a study leaves one in "
                 "stages/frequency.json"
             )
-        if kind == "result":
-            check_digest({"casid": kind} | content, path)
+        check_digest(content, path)
         try:
             found = decode(content["result"]) if kind == "result" else cls._from_content(content)
         except DAMAGED as error:
@@ -233,7 +233,7 @@ class FrequencyResponse(Shown):
 
     @classmethod
     def _from_content(cls, content: dict[str, Any]) -> "FrequencyResponse":
-        content.pop("version", None)
+        content = {name: part for name, part in content.items() if name not in HEAD}
         for name in COMPLEX:
             if parts := content.get(name):
                 real, imag = (np.array(parts[half], dtype=float) for half in ("real", "imag"))

@@ -17,8 +17,8 @@ from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.settings import OrderSelection
 from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubts
-from casid.textfile import read_json, write_json
-from casid.values import DAMAGED, decode, encode, storable
+from casid.textfile import read_json, write_result
+from casid.values import DAMAGED, check_digest, decode, encode, storable
 
 IMAGES = 3  # on either side that are looked at
 GRID = 100  # frequencies
@@ -124,7 +124,7 @@ class BlackBox(Shown):
 
     def save(self, path: str | Path) -> None:
         """Write it as JSON, whole or not at all."""
-        write_json(path, {"casid": "black box", "version": 1, "result": encode(self)})
+        write_result(path, {"casid": "black box", "version": 1, "result": encode(self)})
 
     @classmethod
     def load(cls, path: str | Path) -> "BlackBox":
@@ -133,9 +133,10 @@ class BlackBox(Shown):
         Raises
         ------
         ValueError
-            No black box, or a damaged one.
+            No black box, a damaged one, or a file that was changed.
         """
         content = read_json(path)
+        check_digest(content, path)
         try:
             found = decode(content["result"])
         except DAMAGED as error:

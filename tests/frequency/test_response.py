@@ -29,6 +29,11 @@ def test_a_saved_response_reads_back_the_same(measured, tmp_path):
             np.testing.assert_array_equal(now, was)
         else:
             assert now == was
+    content = json.loads(path.read_text())
+    content["coherence"][0][0][0] = 0.5
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="changed after casid wrote it"):
+        FrequencyResponse.load(path)
     path.write_text(json.dumps({"casid": "fit"}))
     with pytest.raises(ValueError, match="not a frequency response"):
         FrequencyResponse.load(path)

@@ -88,9 +88,18 @@ DAMAGE = {
 def test_a_damaged_black_box_is_refused_by_the_name_of_its_field(field, tmp_path):
     replace(known_black_box(unstable_plant()), pole=2.0).save(tmp_path / "box.json")
     content = json.loads((tmp_path / "box.json").read_text("utf-8"))
+    del content["digest"]  # which tells any change, and which older files have not
     DAMAGE[field](content["result"]["fields"])
     (tmp_path / "box.json").write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(ValueError, match=rf"box\.json.*{field}"):
+        BlackBox.load(tmp_path / "box.json")
+
+
+def test_a_black_box_that_was_changed_is_told(tmp_path):
+    replace(known_black_box(unstable_plant()), pole=2.0).save(tmp_path / "box.json")
+    text = (tmp_path / "box.json").read_text("utf-8")
+    (tmp_path / "box.json").write_text(text.replace('"past": ', '"past": 1'), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"box\.json: changed after casid wrote it"):
         BlackBox.load(tmp_path / "box.json")
 
 
