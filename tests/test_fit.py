@@ -155,7 +155,7 @@ def test_any_number_that_was_changed_in_a_saved_fit_is_told(tmp_path):
     assert Fit.load(file, model=Lag).covariance[1, 1] == 0.04
     content["covariance"]["array"][1][1] = 0.02
     file.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(ValueError, match="changed after casid wrote it.*estimate again"):
+    with pytest.raises(ValueError, match=r"changed after casid wrote it.*estimate again"):
         Fit.load(file, model=Lag)
 
 

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from casid.textfile import read_json, stored_number, write_json, write_text
+from casid.textfile import read_json, stored_number, write_json, write_result, write_text
+from casid.values import check_digest
 
 
 def test_json_is_plain_and_keeps_nan_and_infinity(tmp_path):
@@ -41,3 +42,12 @@ def test_json_that_is_none_is_told(tmp_path):
     ):
         with pytest.raises(ValueError, match=f"{name}.json: {message}"):
             read_json(tmp_path / f"{name}.json")
+
+
+def test_a_result_tells_any_change_but_of_its_layout(tmp_path):
+    file = tmp_path / "result.json"
+    write_result(file, {"casid": "fit", "cost": np.inf, "R": np.array([[0.1, np.nan]])})
+    content = read_json(file)
+    check_digest(content, file)
+    with pytest.raises(ValueError, match="changed after casid wrote it"):
+        check_digest(content | {"cost": "-inf"}, file)
