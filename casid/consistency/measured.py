@@ -36,6 +36,7 @@ class Flight:
     record: int = 0  # of which it is a stretch
     start: float = 0.0  # from that of the record [s]
     held: float = 0.0  # for how long inputs are held from sample to sample [s]
+    late: dict[str, float] = field(default_factory=dict)  # clocks already known [s]
 
     @property
     def t(self) -> Array:

@@ -68,7 +68,8 @@ class Sides:
     """Right-hand sides of kinematic equations, every term at the time of the left-hand side.
 
     A channel is late by its skew against what it turns or moves, which is late by its own clock:
-    where an equation is of another clock, it is read at skew + clock − the equation's clock.
+    where an equation is of another clock, it is read at skew + clock − the equation's clock. Clocks
+    that are known of this flight alone come on top.
     """
 
     flight: Flight
@@ -114,7 +115,7 @@ class Sides:
     def _moved(self, clock: float) -> Moved:
         """Rates and forces at the instants of a clock."""
         return {
-            name: self._read(name, skew + self._clock(self._owner(name)) - clock)
+            name: self._read(name, skew + self._late(name) + self._clock(self._owner(name)) - clock)
             for name, (_, _, skew) in self.table.items()
         }
 
@@ -158,7 +159,12 @@ class Sides:
     def _clock(self, name: str) -> float:
         mate = name if name in self.equations else "phi"
         of, own = clock_of(mate), float(self.clocks[-1]) if mate == self.alone else 0.0
-        return own + (float(self.clocks[CLOCKS.index(of)]) if of else 0.0)
+        shared = float(self.clocks[CLOCKS.index(of)]) if of else 0.0
+        return own + shared + self._late(mate)
+
+    def _late(self, name: str) -> float:
+        """How late it is known to be in this flight alone."""
+        return self.flight.late.get(name, 0.0)
 
     def _read(self, name: str, later: float) -> tuple[Array, Array]:
         return read_later(self.pieces[name], later, self.flight.dt)

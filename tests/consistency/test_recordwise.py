@@ -4,15 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from truths import bodies
 from truths.flights import NOISE, RATES, flight
 
-from benchmarks.kinematics import later, spoilt
-from benchmarks.uh60 import SWEEPS, nonlinear_records
+from benchmarks.kinematics import DATA, GOOD, INPUTS, later, spoilt
+from benchmarks.uh60 import OUTPUTS as BARE
+from benchmarks.uh60 import STEPS, SWEEPS, nonlinear_records
+from casid import read_csv
+from casid.consistency import recordwise
+from casid.consistency.flightpath import reconstruct
 from casid.consistency.kinematics import kinematic_check
-from casid.consistency.recordwise import differ
+from casid.consistency.measured import Flight
+from casid.consistency.recordwise import clocks_by_record, differ, rescaled
 
 OUTPUTS = (*RATES, "phi", "theta", "psi")
 ANGLES = OUTPUTS[3:]
+EQUATIONS = (*bodies.ANGLES, *bodies.SPEEDS)
+HEADED = (*bodies.WHOLE, "psi")
 
 
 def flown(clocks, outputs=OUTPUTS, late=ANGLES):
@@ -43,6 +51,73 @@ def test_one_clock_of_all_records_is_none_of_each(clocks):
     check = kinematic_check(flown(clocks))
     assert check.by_record == ()
     assert {*check.shifts} == ({*RATES} if any(clocks) else set())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", ["uvw", bodies.ANGLES], ids=["velocities", "attitudes"])
+def test_of_two_groups_the_one_that_is_late_is_told(late):
+    # Rates agree with attitudes once either moves, gravity in the specific forces once one does.
+    clocks = (0.1, -0.2, 0.15)
+    records = [
+        replace(
+            bodies.flown(6 + k, "slow", dict.fromkeys(late, by), HEADED, count=1)[0], name=f"r{k}"
+        )
+        for k, by in enumerate(clocks)
+    ]
+    (said,) = kinematic_check(records).by_record
+    group, told = said.split("record: ")[1].split(" s;")[0].split(" are late by ")
+    assert group == ("velocities" if late == "uvw" else "attitudes")
+    np.testing.assert_allclose(
+        [float(each.split()[1]) for each in told.split(", ")], clocks, atol=0.02
+    )
+
+
+def flights_of(records, outputs=HEADED):
+    return [
+        Flight(each.dt, 0, dict(zip(outputs, each.y.T, strict=True)), record=k)
+        for k, each in enumerate(records)
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0.2, 0.25])
+def test_clocks_that_leave_no_less_are_not_told_though_records_seem_to_differ(late, monkeypatch):
+    records = bodies.flown(7, "slow", dict.fromkeys("uvw", late), HEADED, single=True)
+    flights, labels = flights_of(records), {0: "r0", 1: "r1", 2: "r2"}
+    monkeypatch.setattr(recordwise, "drawn_apart", lambda _: True)
+    monkeypatch.setattr(recordwise, "differ", lambda *_: True)
+    monkeypatch.setattr(recordwise, "rescaled", lambda *_: 0.0)
+    together = reconstruct(flights, EQUATIONS)
+    assert clocks_by_record(flights, EQUATIONS, together, labels) == ()
+
+
+@pytest.mark.slow
+def test_a_scale_of_pitch_attitude_and_rate_is_no_clock():
+    names = (*BARE, "u", "v", "w")
+    rng = np.random.default_rng([1, 9])
+    std = GOOD | {"az": 0.05} | dict.fromkeys("uvw", 0.15)
+    whole = [read_csv(DATA / f"{k}.csv", inputs=INPUTS, outputs=names) for k in STEPS]
+    scale = np.where(np.isin(names, ("q", "theta")), 1.1, 1.0)
+    records = [replace(each, y=each.y * scale).with_noise(std, rng) for each in whole]
+    check = kinematic_check(records)
+    assert check.by_record == ()
+    assert check.shifts == {}
+
+
+@pytest.mark.slow
+def test_the_best_scale_explains_as_much_as_that_of_scales_tried_one_by_one():
+    records = bodies.flown(8, "slow", outputs=HEADED, count=2)
+    records = bodies.changed(records, "theta", lambda x: 1.07 * x)
+    left = {}
+    for factor in np.linspace(0.89, 1.0, 12):
+        tried = flights_of(bodies.changed(records, "theta", lambda x, f=factor: f * x))
+        found = reconstruct(tried, EQUATIONS)
+        left[factor] = recordwise.unlikely(found, tried) - 2 * 2000 * np.log(factor)
+    best = min(left, key=left.get)
+    assert 1 / best == pytest.approx(1.07, abs=0.02)
+    assert rescaled(flights_of(records), EQUATIONS) == pytest.approx(
+        left[1.0] - left[best], rel=0.1
+    )
 
 
 @pytest.mark.slow
