@@ -12,6 +12,7 @@ from casid.record import Record
 ANGLE = {"p": "phi", "q": "theta"}
 LETTER = {"p": "L", "q": "M", "r": "N", "az": "Z"}
 SMOOTH = 0.1  # s over which a rate is differentiated for a guess
+ROUNDING = 1e-9  # of the largest value
 STEEPEST = 30.0  # 1/s, of a guessed damping
 
 TEMPLATE = '''\
@@ -129,14 +130,18 @@ def _axis(records: Sequence[Record], stick: str) -> Axis | None:
     if rate is None or rate not in records[0].outputs:
         return None
     u, x = ([record.channel(name) for record in records] for name in (stick, rate))
-    if not any(np.ptp(each) > 0 for each in u) or not any(
-        np.ptp(each[np.isfinite(each)]) > 0 for each in x
-    ):
+    if not any(_moves(each) for each in u) or not any(_moves(each) for each in x):
         return None
     angle = ANGLE.get(rate)
     angle = angle if angle in records[0].outputs else None
     damping, gain = _guess(u, x, records[0].dt, force=rate == "az")
     return Axis(stick=stick, rate=rate, angle=angle, damping=damping, gain=gain)
+
+
+def _moves(x: Array) -> bool:
+    """Whether a channel does more than the rounding of a filter that it went through."""
+    x = x[np.isfinite(x)]
+    return bool(len(x) and np.ptp(x) > ROUNDING * np.abs(x).max())
 
 
 def _guess(

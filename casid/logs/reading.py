@@ -27,7 +27,8 @@ READERS: dict[bytes, tuple[str, str, Reader]] = {  # by the first bytes: format,
 LEFT_OUT = {  # why samples of a topic are
     "left_out": (
         "clock went back",
-        "where many are, the logger began anew; split the log there to read both parts",
+        "where many are, the logger began anew, and its longest part is kept; split the log there "
+        "to read the others",
     ),
     "repeats": (
         "time stamps repeat those of others",

@@ -13,6 +13,8 @@ from casid.arrays import Array
 from casid.channels import SI
 
 BEYOND = 1e20  # of any unit: no sensor gives as much, nor do stamps of 64 bits
+NEAR = 25  # samples on either side of where stamps go back, by which a clock began anew
+LASTS = 0.9  # of the longest part between such places: the first that lasts as long is kept
 GAP = 5.0  # usual intervals without a sample that make a gap
 FREELY = 64 * 2**20  # bytes that a reader may read of the smallest log, and
 OFTEN = 8  # times the size of a larger one
@@ -131,11 +133,30 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
+def _of_one_clock(t: Array, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The samples between two places where the clock began anew, the first of the longest."""
+    # A stamp that is wrong is not later than most before it and earlier than most after.
+    back = np.flatnonzero(np.diff(t[rows]) < 0) + 1
+    anew = [
+        k
+        for k in back.tolist()
+        if NEAR <= k <= len(rows) - NEAR
+        and np.median(t[rows[k - NEAR : k]]) > np.median(t[rows[k : k + NEAR]])
+    ]
+    parts = np.split(rows, anew)
+    lasting = np.array([np.ptp(np.percentile(t[part], (1, 99))) for part in parts])
+    return parts[int(np.argmax(lasting >= LASTS * lasting.max()))]
+
+
 def increasing(t: Array) -> NDArray[np.intp]:
-    """The longest choice of samples (indices) whose stamps are numbers and increase."""
+    """The longest choice of samples (indices), of one clock, whose stamps are numbers and increase.
+
+    Of what two clocks stamped alike nobody knows which came first.
+    """
     rows = np.flatnonzero(np.abs(t) < BEYOND)
     if (np.diff(t[rows]) > 0).all():
         return rows
+    rows = _of_one_clock(t, rows)
     ends: list[float] = []  # the smallest last stamp of a choice of each length
     at: list[int] = []
     before: list[int] = []

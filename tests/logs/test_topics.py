@@ -29,6 +29,20 @@ def test_one_stamp_far_in_the_future_costs_one_sample():
     assert len(increasing(t)) == 99
 
 
+@pytest.mark.parametrize("second", [(20, 60), (0, 45), (20, 120)])
+def test_of_two_clocks_the_longer_part_is_kept_whole(second):
+    # The longest increasing choice would go from one to the other without a seam.
+    parts = np.arange(0, 50, 0.1), np.arange(*second, 0.1)
+    t = np.concatenate(parts)
+    wrong = np.random.default_rng(3).choice(len(t), size=8, replace=False)
+    t[wrong] = [1e6, -1e6] * 4
+    kept = increasing(t)
+    first = 0 if np.ptp(parts[1]) < 55 else len(parts[0])
+    wanted = set(range(first, first + len(parts[first > 0])))
+    assert set(kept) <= wanted
+    assert len(wanted - set(kept)) <= 16
+
+
 def test_columns_are_in_si_and_text_is_left_out():
     columns = [
         ("a", np.array([180, 90]), "deg"), ("b", np.array([1.0, 2.0]), "%"),
