@@ -169,7 +169,8 @@ class Fit(Shown, Generic[M_co, N_co]):
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all."""
-        head = {"casid": "fit", "version": VERSION, "system": encode(_numbers(self.model))}
+        head = {"casid": "fit", "version": VERSION, "system": encode(self.model.numbers())}
+        head["channels"] = encode(_channels(self.model))
         write_result(path, head | encode(self)["fields"])
 
     @classmethod
@@ -202,6 +203,8 @@ class Fit(Shown, Generic[M_co, N_co]):
             _check_agreement(found, path)
             if "system" in content:
                 _check_numbers(found.model, decode(content["system"]), path)
+            if "channels" in content:
+                _check_channels(found.model, decode(content["channels"]), path)
         except (LookupError, TypeError, AttributeError, OverflowError) as error:
             raise ValueError(
                 f"{path}: not as casid saves a fit ({type(error).__name__}: {error}); was the "
@@ -219,7 +222,8 @@ def is_fit(content: Mapping[str, Any]) -> bool:
     return content.get("casid") == "fit" or (isinstance(kept, dict) and kept.get("value") == "Fit")
 
 
-PARTS = ("A", "B", "C", "D", "delays", "constraints")  # of what a structure makes of parameters
+PARTS = ("A", "B", "C", "D", "delays", "constraints", "dx/dt", "y")  # of `Model.numbers`
+KINDS = ("states", "inputs", "outputs")
 VERSION = 2  # of the files that `Fit.save` writes
 FLAGS = ("active", "fixed")
 NUMERIC = tuple(each.name for each in fields(ParameterEstimate) if each.type is float)
@@ -331,14 +335,24 @@ def _check_agreement(fit: AnyFit, place: str | Path) -> None:
         raise ValueError(f"{place}: {wrong}; was the file edited?")
 
 
-def _numbers(model: Model) -> list[Array]:
-    """A, B, C, D, delays and constraints of a model, of a nonlinear one at its reference."""
-    return [matrix.full() for matrix in model.matrices()(model.vector())]
+def _channels(model: Model) -> tuple[tuple[str, ...], ...]:
+    return model.states, model.inputs, model.outputs
+
+
+def _check_channels(model: Model, saved: tuple[tuple[str, ...], ...], place: str | Path) -> None:
+    """Refuse a structure whose channels have other names or another order than when fitted."""
+    for kind, now, then in zip(KINDS, _channels(model), saved, strict=True):
+        if tuple(now) != tuple(then):
+            raise ModelError(
+                f"{place}: {type(model).__name__} has the {kind} {', '.join(now)}; when it was "
+                f"fitted they were {', '.join(then)}: load it with the file of then, or fit again"
+            )
 
 
 def _check_numbers(model: Model, saved: list[Array], place: str | Path) -> None:
     """Refuse a structure whose equations are not those that were fitted."""
-    for name, now, then in zip(PARTS, _numbers(model), saved, strict=True):
+    # Of nonlinear structures older files hold fewer.
+    for name, now, then in zip(PARTS, model.numbers(), saved, strict=False):
         same = now.shape == then.shape
         if not same or not np.allclose(now, then, rtol=1e-6, atol=1e-9, equal_nan=True):
             raise ModelError(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 import scipy.linalg
@@ -139,6 +140,11 @@ class StateSpace(Shown):
             Initial state; zero unless given.
         hold : {"foh", "zoh"}
             What the inputs do between samples.
+
+        Raises
+        ------
+        ValueError
+            Arrays of other shapes, instants that do not increase, another hold.
         """
         steps = self.steps(t, u, hold)
         x = np.zeros(self.nx) if x0 is None else np.asarray(x0, dtype=float)
@@ -162,6 +168,10 @@ class StateSpace(Shown):
             As in `simulate`.
         """
         t, u = np.asarray(t, dtype=float), np.asarray(u, dtype=float)
+        if hold not in get_args(Hold):
+            raise ValueError(f'hold={hold!r}, expected "foh" or "zoh"')
+        if t.ndim != 1 or not (np.diff(t) > 0).all():
+            raise ValueError("t: expected increasing instants [s], (N,)")
         if u.shape != (len(t), self.nu):
             raise ValueError(
                 f"u has shape {u.shape}, expected (N, nu) = ({len(t)}, {self.nu}) for "

@@ -194,6 +194,10 @@ class Model:
             return _function.__wrapped__(cls, trim, frozenset())
         return _function(cls, trim, surroundings(cls))
 
+    def numbers(self) -> list[Array]:
+        """A, B, C, D, delays and constraints at the present values: what tells equations apart."""
+        return [matrix.full() for matrix in self.matrices()(self.vector())]
+
     def system(self) -> StateSpace:
         """The state-space model at the present parameter values."""
         A, B, C, D, tau, _ = (matrix.full() for matrix in self.matrices()(self.vector()))

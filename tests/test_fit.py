@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from truths import closed_roll
@@ -21,6 +22,7 @@ from casid import (
     MatchNotes,
     Model,
     ModelError,
+    NonlinearModel,
     Rows,
     Scalar,
     derivid,
@@ -234,6 +236,54 @@ def test_a_structure_whose_equations_are_others_by_now_is_refused(tmp_path):
     Changed.__name__ = "Lag"
     with pytest.raises(ModelError, match="Lag has other B than when it was fitted"):
         Fit.load(tmp_path / "fit.json", model=Changed)
+
+
+def test_a_structure_whose_channels_change_places_is_refused(tmp_path):
+    class Pair(Lag):
+        states, inputs, outputs = ("x", "y"), ("u", "v"), ("x", "y")
+
+        def A(self) -> Rows:
+            return [[self.a, 0], [0, self.a]]
+
+        def B(self) -> Rows:
+            return [[self.b, 0], [0, self.b]]
+
+        def C(self) -> Rows:
+            return [[1, 0], [0, 1]]
+
+    values = {"a": -5.0, "b": 3.0, "c": 0.25, "U0": 41.0}
+    fit(model=Pair(**values)).save(tmp_path / "fit.json")
+    assert Fit.load(tmp_path / "fit.json", model=Pair).model.inputs == ("u", "v")
+    for kind in ("states", "inputs", "outputs"):
+        other = type("Pair", (Pair,), {kind: getattr(Pair, kind)[::-1]})
+        with pytest.raises(ModelError, match=f"Pair has the {kind} ., .; when it was fitted they"):
+            Fit.load(tmp_path / "fit.json", model=other)
+
+
+@pytest.mark.parametrize("times", [1.0, 5.0])
+def test_a_nonlinear_structure_of_other_equations_is_refused(tmp_path, times):
+    # Both are the same at rest, the condition that they are linear models of.
+    class Roll(NonlinearModel):
+        states, inputs, outputs = ("p",), ("lat",), ("p",)
+        d: Scalar = parameter(default=2.0, lower=0.0, upper=20.0, unit="1/rad")
+
+        def derivatives(self, x, u):
+            return [10 * u.lat - self.d * x.p * ca.fabs(x.p)]
+
+    class Other(Roll):
+        def derivatives(self, x, u):
+            return [10 * u.lat - times * self.d * x.p * ca.fabs(x.p)]
+
+    Other.__name__ = "Roll"
+    row = replace(fit().parameters[0], name="d", value=3.0)
+    fit(model=Roll(d=3.0), parameters=(row,), free_names=("d",), covariance=np.eye(1)).save(
+        tmp_path / "fit.json"
+    )
+    if times == 1:
+        assert Fit.load(tmp_path / "fit.json", model=Other).model.d == 3.0
+        return
+    with pytest.raises(ModelError, match="Roll has other dx/dt than when it was fitted"):
+        Fit.load(tmp_path / "fit.json", model=Other)
 
 
 def test_a_headline_says_how_many_parameters_are_on_their_bounds():

@@ -234,3 +234,15 @@ def test_a_discrete_model_follows_its_own_interval_only():
         system.simulate(late, np.zeros((50, 1)))
     decay = system.simulate(t, np.zeros((50, 1)), np.array([1.0]))[:, 0]
     np.testing.assert_allclose(decay, 0.9 ** np.arange(50), rtol=1e-12)
+
+
+@pytest.mark.parametrize("t", [[0.0, 0.1, 0.1], [0.2, 0.1, 0.0], [0.0, 0.2, 0.1], [0.0, np.nan, 1]])
+def test_instants_that_do_not_increase_are_refused(t):
+    with pytest.raises(ValueError, match="t: expected increasing instants"):
+        lag(-1.0).simulate(np.array(t), np.zeros((3, 1)))
+
+
+@pytest.mark.parametrize("hold", ["FOH", "linear"])
+def test_an_unknown_hold_is_refused(hold):
+    with pytest.raises(ValueError, match=f"hold='{hold}', expected"):
+        lag(-1.0).simulate(np.arange(3.0), np.zeros((3, 1)), hold=hold)

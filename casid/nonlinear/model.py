@@ -22,6 +22,8 @@ from casid.nonlinear.expressions import evaluated, jumping, linearised, referenc
 from casid.sensors import Scalar
 from casid.surroundings import Surroundings, surroundings
 
+SCATTERED = 6  # conditions at which equations are told from others
+
 
 class NonlinearModel(Model, base=True):
     """Base of every nonlinear structure; subclasses become frozen dataclasses like a `Model`'s.
@@ -137,6 +139,14 @@ class NonlinearModel(Model, base=True):
         """The same structure with the values of another one's parameters of the same names."""
         own = self.parameter_names()
         return replace(self, **{n: getattr(model, n) for n in model.parameter_names() if n in own})
+
+    def numbers(self) -> list[Array]:
+        """Those of the linear model at the reference condition, then dx/dt and y scattered wide."""
+        here = np.concatenate(self.operating_point())
+        far = np.sin(np.arange(1.0, 1 + SCATTERED * len(here))).reshape(SCATTERED, -1)
+        points = (here + (1 + np.abs(here)) * far).T
+        x, u = np.split(points, [len(self.states)])
+        return [*super().numbers(), *(y.full() for y in self.equations()(x, u, self.vector()))]
 
     def A(self) -> Rows:
         """df/dx at the reference condition."""
