@@ -165,6 +165,12 @@ def _bandwidth(
     remarks += _several("the phase", "-135°", _passing(x, phase, -135.0, turns=False), x180)
     if not attitude_command:
         remarks += _several("the gain", "6 dB above that at ω_180", before[1], x180)
+    again = np.exp(_passing(x, phase, -180.0, turns=False))[1:]
+    if len(again):
+        remarks.append(
+            f"the phase passes -180° again, at {', '.join(f'{at:.3g}' for at in again)} rad/s: "
+            "ω_180 is the first, and a phase delay between them is none of the rotor's and actuators'"
+        )
     if np.isnan(by_phase):
         remarks.append("the phase is below -135° in the whole band: no phase bandwidth in it")
     if np.isnan(by_gain) and not attitude_command:

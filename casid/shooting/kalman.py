@@ -115,8 +115,7 @@ class _Recursion:
         self._m, self._moves, self._patterns = m, transitions(m, layout.classes), layout.patterns
         parts = (m.A_lam, m.C_lam, m.Q_lam[None], m.R_lam)
         self._moving = np.flatnonzero(sum(part.any(axis=(0, 1)) for part in parts))
-        step = float(np.median(layout.classes[layout.step]))
-        self._early = round(settling_time(layout.records) / step)
+        self._early = settling_time(layout.records) / layout.classes  # in steps of each width
         self._tables: list[tuple[Array, ...]] = []
 
     def run(self, kinds: np.ndarray) -> np.ndarray:
@@ -124,7 +123,7 @@ class _Recursion:
         done = sum(len(K) for K, *_ in self._tables)
         rows: list[tuple[Array, ...]] = []
         P: Array = np.zeros_like(self._m.A)
-        for _ in range(self._early):  # all channels, from no uncertainty
+        for _ in range(round(np.median(self._early[kinds[:, 0]]))):  # of all channels
             before, P = P, self._advance(P, np.array([kinds[0, 0], 0]), rows)
             if self._settled(before, P):
                 break

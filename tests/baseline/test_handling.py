@@ -140,6 +140,21 @@ def test_a_stable_loop_around_an_unstable_aircraft_is_satisfactory():
     assert not read.remarks
 
 
+def test_a_phase_that_passes_minus_180_several_times_is_told():
+    def loop(s):
+        light = (s**2 + 0.24 * s + 5.76) / (s**2 + 0.2 * s + 4)
+        return 10 * light / (s * (s + 3)) * np.exp(-0.05 * s)
+
+    omega = np.geomspace(0.05, 50, 2000)
+    turned = np.degrees(np.unwrap(np.angle(loop(1j * omega)))) + 180
+    at = omega[1:][np.diff(np.sign(turned)) != 0]
+    assert len(at) == 3
+    read = handling_qualities(response(loop, omega), ("phi", "lat"))
+    (told,) = (each for each in read.remarks if "passes -180° again" in each)
+    places = told.split("at ")[1].split(" rad/s")[0].split(", ")
+    np.testing.assert_allclose([float(each) for each in places], at[1:], rtol=0.01)
+
+
 def test_what_lies_outside_the_band_is_said():
     low = response(roll, np.geomspace(0.1, 7.0, 300))
     read = handling_qualities(low, ("phi", "lat"))

@@ -78,6 +78,20 @@ def test_the_likelihood_is_that_of_a_filter_written_out_whatever_is_missing():
     assert told == pytest.approx(cost, rel=1e-9)
 
 
+def test_the_filter_begins_as_early_before_every_record_whatever_its_sampling():
+    fine, coarse = noisy(1).between(0, 4), noisy(2).between(0, 4)
+    coarse = replace(coarse, t=coarse.t[::5], u=coarse.u[::5], y=coarse.y[::5])
+    evaluator, lam = filtered([fine, coarse])
+    m, R = evaluator.matrices(lam), evaluator.gains(lam)
+    for record, first in ((fine, 0), (coarse, fine.N)):
+        Ad, Qd = noise_over(m.A, np.diag(m.Q), record.dt)
+        P = np.zeros((3, 3))
+        for _ in range(round(2 / record.dt)):
+            L = P @ m.C.T @ np.linalg.inv(m.C @ P @ m.C.T + m.R)
+            P = Ad @ (P - L @ m.C @ P) @ Ad.T + Qd
+        np.testing.assert_allclose(R.S[R.which[first]], m.C @ P @ m.C.T + m.R, rtol=1e-8)
+
+
 def test_gains_and_covariances_follow_every_unknown_also_where_channels_are_missing():
     record = with_holes(noisy(1).between(0, 1.5))
     evaluator, lam = filtered([record])
