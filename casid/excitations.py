@@ -45,6 +45,7 @@ WIDE = 1.3  # ratio of frequencies that a doubted band spans at least
 ANSWER = 0.5  # share of an output that outside inputs make, and
 COHERENT = 0.85  # that goes with the inputs, below both of which it does not answer them
 APART = 0.4  # of an angular rate: if less goes with the inputs it is disturbed
+FEWEST = 3  # samples of a slow sensor
 SINGULAR = 1e-9  # relative power of an innovation that no noise drives
 
 
@@ -273,7 +274,7 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
         Records of different channels, or too short.
     """
     whole = stretches(records)
-    flown = flights([without_repeats(part) for part in whole])
+    flown = flights([_as_slow(without_repeats(part)) for part in whole])
     parts, found, dt = flown.parts, flown.models, flown.dt
     if omega is None:
         longest = max(part.duration for part in parts)
@@ -314,6 +315,20 @@ def moving(records: Sequence[Record]) -> list[Record]:
     if not inputs or not outputs:
         raise ValueError("no input or no output moves in any record: there is nothing to judge")
     return [record.select(inputs, outputs) for record in records]
+
+
+def _as_slow(record: Record) -> Record:
+    """The record at the instants of its slowest output, where the others are measured then, too.
+
+    Between its samples it would be drawn from one that is still to come, and seem to lead inputs.
+    What a stick does between two of them, and the second has felt, still looks fed back.
+    """
+    seen = np.isfinite(record.y)
+    together = np.flatnonzero(np.all(seen, axis=1))
+    every = max((np.median(np.diff(np.flatnonzero(x))) for x in seen.T if x.sum() > 1), default=1)
+    if every == 1 or len(together) < FEWEST or np.median(np.diff(together)) > every:
+        return record
+    return record.take(np.isin(np.arange(record.N), together))
 
 
 def even(record: Record) -> Record:

@@ -30,12 +30,13 @@ def longest_stop(values: Array, *, stick: bool) -> int:
         length = (end - start)[inside]
         around = (last - first)[of] - length
         longest = max(longest, int(length[length > TURN * around].max(initial=0)))
-    # A channel that is counted in coarse steps rests on each of them, also on the last of a few.
-    usual = 0
+    # A slower source is repeated at its extremes as elsewhere. A channel that is counted in coarse
+    # steps rests on each of them, also on the last of a few.
+    at = np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan))
+    usual = 0 if stick else TURN * np.median(np.diff(at))
     if step and not stick:
-        at = np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan))
         inner = (values[at[:-1]] > values.min()) & (values[at[:-1]] < values.max())
-        usual = int(np.diff(at)[inner].max(initial=0))
+        usual = max(usual, np.diff(at)[inner].max(initial=0))
     return longest if longest >= max(CLIPPED, usual) else 0
 
 

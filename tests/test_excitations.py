@@ -255,6 +255,19 @@ def test_samples_that_a_slower_sensor_repeats_tell_no_excitation():
     assert found.lower[low, 0].max() < 0.3
 
 
+@pytest.mark.parametrize("every", [5, 10])
+def test_what_a_slower_sensor_repeats_is_no_feedback(every):
+    # Drawn in straight lines between its samples an output moves before the stick that moves it.
+    rng = np.random.default_rng(every)
+    u = np.repeat(rng.choice([-1.0, 1.0], size=216), 37)
+    p = signal.lfilter([0, 0.02], [1, -0.96], u)
+    y = np.column_stack([p, 0.02 * np.cumsum(p)]) + 0.005 * rng.standard_normal((len(u), 2))
+    held = y[np.arange(len(u)) // every * every]
+    record = Record(0.02 * np.arange(len(u)), u[:, None], held, ("lat",), ("p", "phi"), "held")
+    found = excitation(record)
+    assert not found.doubts()
+
+
 def test_flights_that_agree_share_one_autoregression():
     flights = [looped(1.0, 0.5, seed) for seed in range(3)]
     columns = [np.hstack([each.y, each.u]) for each in flights]

@@ -64,3 +64,9 @@ def test_a_study_tells_it(tmp_path):
 
 def test_a_stick_stands_at_a_stop():
     assert saturated("one", "lat", 9, stick=True).startswith("one: lat stays at its extreme stop")
+
+
+def test_a_slower_source_that_is_repeated_does_not_saturate():
+    x = np.sin(0.3 * np.arange(300.0)) + 0.01 * np.random.default_rng(2).standard_normal(300)
+    assert longest_stop(np.repeat(x, 10), stick=False) == 0
+    assert longest_stop(np.repeat(np.minimum(x, 0.8), 10), stick=False) >= 40

@@ -169,7 +169,7 @@ def _bandwidth(
     if len(again):
         remarks.append(
             f"the phase passes -180° again, at {', '.join(f'{at:.3g}' for at in again)} rad/s: "
-            "ω_180 is the first, and a phase delay between them is none of the rotor's and actuators'"
+            "ω_180 is the first, and what is lost between them is no phase delay"
         )
     if np.isnan(by_phase):
         remarks.append("the phase is below -135° in the whole band: no phase bandwidth in it")
