@@ -5,7 +5,7 @@ and the motion after it by the size of the jump times that. Derivatives of the e
 side do not have this part, nor has what is estimated and stated by them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -19,6 +19,7 @@ from casid.model import constants
 from casid.nonlinear.expressions import COMPARED, Nonlinear, evaluated
 from casid.surroundings import Surroundings, surroundings
 
+SIDES = {ca.OP_SIGN: 0, ca.OP_COPYSIGN: 1, ca.OP_ATAN2: 0}  # the argument whose sign decides
 LOOKED_AT = 20  # passages of a threshold, at most
 HALVED = 45  # times an interval about it
 BESIDE = 1e-9  # of the interval, off the threshold on either side
@@ -48,10 +49,16 @@ def told(found: Sequence[Passage]) -> str:
     )
 
 
-def passages(model: Nonlinear, flights: Sequence[tuple[Array, Array]]) -> list[Passage]:
-    """Jumps that states (N, nx) and inputs (N, nu) of some flights pass."""
+def passages(
+    model: Nonlinear, flights: Sequence[tuple[Array, Array]], late: Collection[str] = ()
+) -> list[Passage]:
+    """Jumps that states (N, nx) and inputs (N, nu) of some flights pass.
+
+    Inputs that come ``late`` by a parameter, and not in steps whose instants are known, move the
+    instants of jumps that they alone decide.
+    """
     cls: Any = type(model)
-    thresholds, function = _thresholds(cls, constants(model), surroundings(cls))
+    thresholds, function = _thresholds(cls, constants(model), frozenset(late), surroundings(cls))
     if not thresholds:
         return []
     names = [*(f"d{name}/dt" for name in model.states), *model.outputs]
@@ -80,11 +87,11 @@ def passages(model: Nonlinear, flights: Sequence[tuple[Array, Array]]) -> list[P
             middle = (before + after) / 2
             same = above(middle)[:, [i]] == first
             before, after = np.where(same, middle, before), np.where(same, after, middle)
-        jump = np.abs(sides(after + across) - sides(before - across)).max(axis=0)
+        jumps = np.abs(sides(after + across) - sides(before - across)) > JUMP * size
         found += [
-            Passage(name, threshold, times)
-            for name, height, usual in zip(names, jump, size, strict=True)
-            if height > JUMP * usual
+            Passage(name, threshold, round(times * share))
+            for name, share in zip(names, jumps.mean(axis=0), strict=True)
+            if share
         ]
     return found
 
@@ -93,6 +100,7 @@ def passages(model: Nonlinear, flights: Sequence[tuple[Array, Array]]) -> list[P
 def _thresholds(
     cls: Nonlinear,
     trim: tuple[tuple[str, Any], ...],
+    late: frozenset[str],
     read: Surroundings,  # noqa: ARG001 - it is remembered by
 ) -> tuple[list[str], ca.Function]:
     """What decides in the equations, in words, and by its sign as a function of ((x, u), λ)."""
@@ -100,7 +108,9 @@ def _thresholds(
         [ca.SX.sym(n) for n in names] for names in (cls.states, cls.inputs, cls.parameter_names())
     )
     f, h = evaluated(cls(**dict(trim)).with_vector(ca.vertcat(*lam)), x, u)
-    moved = ca.vertcat(*x, *lam)  # an instant that inputs alone decide no parameter moves
+    # An instant that inputs alone decide no parameter moves, but by their delay.
+    delayed = [each for each in u if each.name() in late]
+    moved = ca.vertcat(*x, *delayed, *lam)
     found = {
         said: value
         for said, value in _decisions(ca.vertcat(f, h))
@@ -122,7 +132,8 @@ def _decisions(expression: ca.SX) -> list[tuple[str, ca.SX]]:
         parts = [node.dep(i) for i in range(node.n_dep())]
         if node.op() in COMPARED:
             found.append((f"{parts[0]} = {parts[1]}", parts[0] - parts[1]))
-        elif node.op() == ca.OP_SIGN:
-            found.append((f"{parts[0]} = 0", parts[0]))
+        elif node.op() in SIDES:  # of copysign(a, b) b decides, of atan2(y, x) y, where x < 0
+            side = parts[SIDES[node.op()]]
+            found.append((f"{side} = 0", side))
         left += parts
     return found

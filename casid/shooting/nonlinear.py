@@ -196,9 +196,12 @@ class NonlinearEvaluator(Evaluator):
     def jumps(self, point: Point) -> str:
         """What is said of jumps that records pass in a simulation from a point; "" of none."""
         edges = np.cumsum([record.N for record in self.layout.records])[:-1]
-        x, u = self.simulate(point).states, self.inputs(self.matrices(point.lam))
+        m = self.matrices(point.lam)
+        x, u = self.simulate(point).states, self.inputs(m)
         flights = list(zip(np.split(x, edges), np.split(u, edges), strict=True))
-        return told(passages(self.model.with_vector(self._full(point.lam)), flights))
+        lines = any(record.hold == "foh" for record in self.layout.records)
+        late = np.array(self.model.inputs)[lines & m.tau_lam.any(axis=1)].tolist()
+        return told(passages(self.model.with_vector(self._full(point.lam)), flights, late))
 
     def lost(self, point: Point) -> str:
         """Where equations first have no value in a simulation from a point; "" if all have."""

@@ -1,6 +1,7 @@
 """Equations that jump, and whether records pass where they do."""
 
 import warnings
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -98,6 +99,53 @@ def test_a_threshold_in_the_middle_of_a_sample_is_a_jump_too(model, told, up):
 def test_what_no_parameter_moves_or_does_not_jump_is_not_told(model):
     record = flown(model)
     assert passages(model, [(record.y, record.u)]) == []
+
+
+def test_a_jump_that_an_input_decides_is_told_where_a_parameter_delays_that():
+    record = flown(Switched())
+    (found,) = passages(Switched(), [(record.y, record.u)], late=["lat"])
+    assert found.times == np.sum(np.diff(record.u[1:, 0] > 0))  # at first there is no rate to damp
+
+    class Late(Switched):
+        tau: Scalar = parameter(default=0.06, lower=0.0, upper=0.2, unit="s")
+
+        def delays(self):
+            return {"lat": self.tau}
+
+    stick = replace(record, u=0.35 * np.sin(1.1 * T)[:, None])
+    for hold, fixed, told in (("foh", (), 1), ("zoh", (), 0), ("foh", ("tau",), 0)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            output_error(Late(), [replace(stick, hold=hold)], fixed=fixed)
+        assert sum("dp/dt jumps at" in str(each.message) for each in caught) == told
+
+
+class Copied(Friction):
+    def damping(self, p, u):  # noqa: ARG002
+        return self.L0 * p + self.L1 * ca.copysign(1.0, p)
+
+
+class Heading(NonlinearModel):
+    """psi' = r, measured between -π and π."""
+
+    states, inputs, outputs = ("psi",), ("r",), ("psi",)
+    k: Scalar = parameter(default=1.0, lower=0.1, upper=5.0, unit="-")
+
+    def derivatives(self, x, u):  # noqa: ARG002
+        return [self.k * u.r]
+
+    def measurements(self, x, u):  # noqa: ARG002
+        return [ca.atan2(ca.sin(x.psi), ca.cos(x.psi))]
+
+
+def test_signs_that_are_copied_and_angles_that_wrap_jump():
+    record = flown(Copied(L1=-0.2))
+    (found,) = passages(Copied(L1=-0.2), [(record.y, record.u)])
+    assert (found.equation, found.threshold) == ("dp/dt", "p = 0")
+    assert found.times == np.sum(np.diff(record.y[:, 0] > 0))
+    psi = np.linspace(-0.5, 16.0, 400)[:, None]  # past π, 3π and 5π, and past 0, 2π and 4π
+    (found,) = passages(Heading(), [(psi, np.ones((400, 1)))])
+    assert (found.equation, found.threshold, found.times) == ("psi", "sin(psi) = 0", 3)
 
 
 def test_a_fit_says_that_its_errors_miss_how_jumps_move():
