@@ -197,10 +197,12 @@ def _check_delays(model: Model, lower: Array, upper: Array) -> None:
             lowest = np.where(row > 0, lower, upper)[moved]
             least += float(row[moved] @ (lowest - at[moved]))
         if least < -NO_DELAY:
+            by = ", ".join(names[i] for i in moved)
+            may = f"may be {least:g} s between the bounds of {by}" if by else f"is {least:g} s"
+            remedy = ": bound it there" if by else ", that of other clocks is for Record.shift"
             raise ModelError(
-                f"{type(model).__name__}.delays: that of {model.inputs[j]!r} may be {least:g} s "
-                f"between the bounds of {', '.join(names[i] for i in moved)}; a delay is 0 s or "
-                "more: bound it there"
+                f"{type(model).__name__}.delays: that of {model.inputs[j]!r} {may}; a delay is 0 s "
+                f"or more{remedy}"
             )
 
 

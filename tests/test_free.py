@@ -86,6 +86,11 @@ class Kept(Delayed):
         return [Constraint("pedals", 0.5 * self.late - self.tau, -0.15, np.inf)]
 
 
+class Early(Roll):
+    def delays(self) -> Mapping[str, Scalar]:
+        return {"lat": -0.1}
+
+
 class Curved(Roll):
     def delays(self) -> Mapping[str, Scalar]:
         return {"lat": self.tau**2 + 0.01}
@@ -98,6 +103,7 @@ class Curved(Roll):
         (Roll(), {"bounds": {"tau": (-0.01, 0.2)}}, r"'lat' may be -0\.01 s .* bound it there"),
         (Roll(tau=-0.05), {"fixed": ["tau"]}, r"'lat' may be -0\.05 s"),
         (Roll(), {"bounds": {"tau": (-0.05, -0.05)}}, r"'lat' may be -0\.05 s"),
+        (Early(), {}, r"'lat' is -0\.1 s; a delay is 0 s or more, that of other clocks is for"),
         (Delayed(), {}, r"'ped' may be -0\.05 s between the bounds of tau, late"),
         (Kept(), {"bounds": {"tau": (-0.1, 0.2)}}, r"'lat' may be -0\.1 s"),
         (Delayed(tau=0.2), {"fixed": ["tau"]}, r"'ped' may be -0\.05 s between the bounds of tau"),

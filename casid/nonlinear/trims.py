@@ -119,8 +119,11 @@ def _solutions(
     def slope(unknown: Array) -> Array:
         return np.asarray(both(at(unknown), lam)[1].full()[rows][:, places])
 
-    starts = values[places] + size * scattered(len(places))
-    for first in (each for each in starts if np.isfinite(balance(each)).all()):
+    moves = size * scattered(len(places))
+    starts = list(values[places] + moves)
+    for first in starts:  # to which those beside the first that is found are added
+        if not np.isfinite(balance(first)).all():
+            continue
         end = scipy.optimize.least_squares(
             balance, first, slope,
             x_scale=size, xtol=1e-14, ftol=1e-14, gtol=1e-14,
@@ -129,6 +132,7 @@ def _solutions(
         new = all(np.abs((end.x - each) / size).max() > APART for each in found)
         if np.abs(end.fun).max() < BALANCE and new:
             found.append(np.asarray(end.x))
+            starts += list(end.x + moves[1:]) if len(found) == 1 else []
     if not found:
         raise ModelError(_nowhere(model, start, unknown, least))
     return found

@@ -39,7 +39,8 @@ def first_steps(evaluator: Flown, lam: Array) -> int:
     ModelError where none do at the reference.
     """
     longest, model = float(evaluator.layout.classes.max()), evaluator.model
-    pole, place = _fastest(evaluator.matrices(lam).A)
+    A = evaluator.matrices(lam).A
+    pole, place = _fastest(A) if np.isfinite(A).all() else (0j, 0)  # no slope at the reference
     if abs(pole) * longest > STABLE * MOST and pole.real < 0:
         raise ModelError(
             f"{type(model).__name__} is stiff at the start: its mode at {pole:.3g} rad/s, mostly "

@@ -49,6 +49,19 @@ def test_several_trims_are_told():
     assert np.sin(trim.values["theta"]) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("start", [0.0, 0.8, 1.2])
+def test_a_trim_beside_the_one_that_is_found_is_told(start):
+    # sin(theta) = 0.999 holds 0.045 rad to either side of the horizontal.
+    class Held(Swing):
+        def derivatives(self, x, u):
+            return [self.Mq * x.q - self.M * (ca.sin(x.theta) - u.lon), x.q]
+
+    other = np.pi - np.arcsin(0.999)
+    with pytest.warns(DataWarning, match=f"not the only one: also theta = {other:.4g}"):
+        trim = find_trim(Held(), {"theta": start, "lon": 0.999}, ["theta"])
+    assert trim.values["theta"] == pytest.approx(np.arcsin(0.999))
+
+
 @pytest.mark.parametrize(
     ("known", "unknown", "told"),
     [

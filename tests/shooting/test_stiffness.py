@@ -12,6 +12,7 @@ from casid import (
     Scalar,
     output_error,
     parameter,
+    simulate,
 )
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
@@ -104,3 +105,17 @@ def test_where_the_method_diverges_is_no_information_about_a_lag():
     fit = output_error(Lag(), noisy(2), biases=False)
     assert fit["a"].std_error > -fit["a"].value
     assert fit.notes.integration.widened < 0.02
+
+
+def test_no_slope_at_the_reference_stops_no_simulation_from_elsewhere():
+    class Tank(NonlinearModel):
+        states, inputs, outputs = ("h",), ("q",), ("h",)
+        a: Scalar = parameter(default=0.5, lower=0.1, upper=3.0, unit="-")
+
+        def derivatives(self, x, u):
+            return [u.q - self.a * ca.sqrt(x.h)]
+
+    t = 0.05 * np.arange(200)
+    none = np.zeros((200, 1))
+    found = simulate(Tank(), Record(t, none, none, ("q",), ("h",), "emptied"), {"h": 9.0})
+    np.testing.assert_allclose(found.y[:, 0], (3 - 0.25 * t) ** 2, atol=1e-6)
