@@ -274,7 +274,7 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
         Records of different channels, or too short.
     """
     whole = stretches(records)
-    flown = flights([_as_slow(without_repeats(part)) for part in whole])
+    flown = flights([at_slowest(without_repeats(part)) for part in whole])
     parts, found, dt = flown.parts, flown.models, flown.dt
     if omega is None:
         longest = max(part.duration for part in parts)
@@ -317,7 +317,7 @@ def moving(records: Sequence[Record]) -> list[Record]:
     return [record.select(inputs, outputs) for record in records]
 
 
-def _as_slow(record: Record) -> Record:
+def at_slowest(record: Record) -> Record:
     """The record at the instants of its slowest output, where the others are measured then, too.
 
     Between its samples it would be drawn from one that is still to come, and seem to lead inputs.

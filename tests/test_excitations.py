@@ -10,7 +10,7 @@ from truths import uh60
 from benchmarks.excitation import DT, RATIOS, flown, share
 from casid import Excitation, Record, excitation, pbsid
 from casid.commands.inspection import inspect_records
-from casid.excitations import outside_shares, wide_bands
+from casid.excitations import at_slowest, outside_shares, wide_bands
 from casid.values import decode, encode
 from casid.vector_autoregression import of_flights, of_records
 
@@ -266,6 +266,18 @@ def test_what_a_slower_sensor_repeats_is_no_feedback(every):
     record = Record(0.02 * np.arange(len(u)), u[:, None], held, ("lat",), ("p", "phi"), "held")
     found = excitation(record)
     assert not found.doubts()
+
+
+@pytest.mark.parametrize(
+    ("every", "first", "kept"),
+    [((2, 4), (0, 2), 15), ((2, 2), (0, 1), 60), ((3, 4), (0, 0), 60), ((1, 1), (0, 0), 60)],
+)
+def test_records_are_thinned_where_all_outputs_are_measured_together(every, first, kept):
+    y = np.random.default_rng(1).standard_normal((60, 2))
+    for j in range(2):
+        y[np.arange(60) % every[j] != first[j] % every[j], j] = np.nan
+    record = Record(0.1 * np.arange(60), np.ones((60, 1)), y, ("u",), ("p", "q"), "slow")
+    assert kept == at_slowest(record).N
 
 
 def test_flights_that_agree_share_one_autoregression():

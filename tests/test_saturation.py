@@ -70,3 +70,4 @@ def test_a_slower_source_that_is_repeated_does_not_saturate():
     x = np.sin(0.3 * np.arange(300.0)) + 0.01 * np.random.default_rng(2).standard_normal(300)
     assert longest_stop(np.repeat(x, 10), stick=False) == 0
     assert longest_stop(np.repeat(np.minimum(x, 0.8), 10), stick=False) >= 40
+    assert longest_stop(np.repeat(np.clip(1.01 * x, -1, 1), 10), stick=True) == 20

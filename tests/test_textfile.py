@@ -51,3 +51,6 @@ def test_a_result_tells_any_change_but_of_its_layout(tmp_path):
     check_digest(content, file)
     with pytest.raises(ValueError, match="changed after casid wrote it"):
         check_digest(content | {"cost": "-inf"}, file)
+    check_digest({"casid": "fit"}, file)  # of before there were any
+    with pytest.raises(ValueError, match="changed after casid wrote it"):
+        check_digest({"casid": "result"}, file)  # which always had one

@@ -114,6 +114,14 @@ def test_a_loop_that_encircles_the_critical_point_is_not_satisfactory():
     assert "downwards 1 time(s) more than upwards: the closed loop is unstable" in remark
 
 
+def test_a_phase_that_comes_back_above_0_db_encircles_nothing():
+    num, den = 50 * np.polymul([1, 1], [1, 1]), np.polymul([1, 0], np.polymul([1, 0.1], [1, 0.1]))
+    assert np.roots(np.polyadd(den, num)).real.max() < 0  # closed loop
+    read = handling_qualities(rational(num, den), ("phi", "lat"), kind="loop")
+    assert read.satisfactory is True
+    assert read.remarks == ()
+
+
 @pytest.mark.slow
 def test_loops_said_to_encircle_the_critical_point_are_unstable_when_closed():
     rng, said = np.random.default_rng(4), 0

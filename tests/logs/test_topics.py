@@ -29,7 +29,7 @@ def test_one_stamp_far_in_the_future_costs_one_sample():
     assert len(increasing(t)) == 99
 
 
-@pytest.mark.parametrize("second", [(20, 60), (0, 45), (20, 120)])
+@pytest.mark.parametrize("second", [(20, 60), (0, 45), (0, 53), (20, 120)])
 def test_of_two_clocks_the_longer_part_is_kept_whole(second):
     # The longest increasing choice would go from one to the other without a seam.
     parts = np.arange(0, 50, 0.1), np.arange(*second, 0.1)
