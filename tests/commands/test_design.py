@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from truths.roll_study import Truth, write_study
 
-from casid import NonlinearModel, Record, Scalar, output_error, parameter
+from casid import Fit, NonlinearModel, Record, Scalar, output_error, parameter
 from casid.cli import main
 from casid.commands.design import _condition
 from casid.studies.runner import run_study
@@ -312,6 +312,12 @@ def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_p
     text = fit.read_text()
     value = json.loads(text)["model"]["fields"]["Lp"]
     fit.write_text(text.replace(f"{value}", f"{1.5 * value}"))
+    changed = run(study)
+    assert changed.exit_code == 2
+    assert "changed after casid wrote it" in changed.stderr
+    fit.write_text(text)
+    kept = Fit.load(fit, model=type(read_study(study).model))
+    replace(kept, cost=kept.cost + 1.0).save(fit)
     refused = run(study)
     assert refused.exit_code == 2
     assert "is not the fit that was kept in stages; run casid identify" in refused.stderr

@@ -239,7 +239,7 @@ def test_growth_that_one_state_less_cannot_follow_is_not_doubted(A, gain):
 )
 def test_what_follows_no_record_does_not_tell_growth_from_decay(true, rate, unfound, monkeypatch):
     still = StateSpace([[-9.0]], [[1e-3]], [[1.0]], [[0.0]], None, ("u",), ("y",))
-    monkeypatch.setattr("casid.subspace.refining._at_order", lambda *_: still)
+    monkeypatch.setattr("casid.subspace.refining._at_order", lambda *_, **__: still)
     rng = np.random.default_rng(3)
     options = {"duration": 20.0, "noise": 0.3, "gain": np.array([[2.0]])}
     records = [closed_loop_record(slow_plant(true), rng, **options) for _ in range(4)]
