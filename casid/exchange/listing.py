@@ -48,8 +48,8 @@ UNARY = {
 }
 
 WORDS = {  # of a language, what is spelled otherwise; numbers of NumPy are as those of C
-    "py": {"power": "**", "least": "fmin", "most": "fmax", "input": "float64({})"},
-    "m": {"power": "^", "least": "min", "most": "max", "input": "{}"},
+    "py": {"power": "**", "least": "fmin", "most": "fmax", "number": "float64({})", "at": "[{}]"},
+    "m": {"power": "^", "least": "min", "most": "max", "number": "{}", "at": "({})"},
 }
 MATLAB = """function [dx, y] = {name}(x, u)
 %{upper} {about}
@@ -144,20 +144,20 @@ def write_equations(path: str | Path, found: Equations, *, title: str = "") -> N
 
 def _lines(function: ca.Function, language: str) -> list[str]:
     """A statement an operation, entries in the brackets of "py" or "m" and counted as there."""
-    words, lines = WORDS[language], []
-    left, right, first = "()1" if language == "m" else "[]0"
+    words, first, lines = WORDS[language], int(language == "m"), []
     for k in range(function.n_instructions()):
         op, into = function.instruction_id(k), function.instruction_output(k)
         of = [f"w{i}" for i in function.instruction_input(k)]
         if op == ca.OP_OUTPUT:
             which, entry = into
-            lines.append(f"{('dx', 'y')[which]}{left}{entry + int(first)}{right} = {of[0]}")
+            lines.append(f"{('dx', 'y')[which]}{words['at'].format(entry + first)} = {of[0]}")
             continue
         if op == ca.OP_INPUT:
             which, entry = function.instruction_input(k)
-            text = words["input"].format(f"{'xu'[which]}{left}{entry + int(first)}{right}")
+            value = "xu"[which] + words["at"].format(entry + first)
+            text = words["number"].format(value)
         elif op == ca.OP_CONST:
-            text = words["input"].format(float(function.instruction_constant(k)))
+            text = words["number"].format(float(function.instruction_constant(k)))
         elif op in UNARY or op in BINARY:
             text = (UNARY | BINARY)[op].format(*of, **words)
         else:

@@ -122,8 +122,8 @@ class _Recursion:
         """Row of the tables for every sample of a record; ``kinds`` (N, 2) are step and pattern."""
         done = sum(len(K) for K, *_ in self._tables)
         rows: list[tuple[Array, ...]] = []
-        P: Array = np.zeros_like(self._m.A)
-        for _ in range(round(np.median(self._early[kinds[:, 0]]))):  # of all channels
+        P: Array = np.zeros_like(self._m.A)  # before the record all channels are measured
+        for _ in range(round(np.median(self._early[kinds[:, 0]]))):
             before, P = P, self._advance(P, np.array([kinds[0, 0], 0]), rows)
             if self._settled(before, P):
                 break

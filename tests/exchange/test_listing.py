@@ -53,23 +53,28 @@ def test_a_name_that_no_language_takes_is_refused(tmp_path):
             write_equations(tmp_path / name, equations_of(AIRCRAFT, 1))
 
 
+def both_texts(folder, function, outputs):
+    """Equations of two states and an input, as a module of Python and as MATLAB's text."""
+    found = replace(
+        equations_of(AIRCRAFT, 1),
+        states=("a", "b"),
+        inputs=("c",),
+        outputs=outputs,
+        x0=np.zeros(2),
+        u0=np.zeros(1),
+        function=function,
+    )
+    write_equations(folder / "own.py", found)
+    write_equations(folder / "own.m", found)
+    return runpy.run_path(str(folder / "own.py")), (folder / "own.m").read_text("utf-8")
+
+
 def test_conditions_and_signs_have_a_form_in_text(tmp_path):
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 1)
     both, either = ca.logic_and(x[0] > 0, x[1] > 0), ca.logic_or(x[0] > 0, x[1] > 0)
     rates = ca.vertcat(ca.sign(x[0]), ca.copysign(x[0], x[1]))
     told = ca.Function("equations", [x, u], [rates, ca.vertcat(both, either, x[0] != x[1])])
-    found = replace(
-        equations_of(AIRCRAFT, 1),
-        states=("a", "b"),
-        inputs=("c",),
-        outputs=("d", "e", "f"),
-        x0=np.zeros(2),
-        u0=np.zeros(1),
-        function=told,
-    )
-    write_equations(tmp_path / "own.py", found)
-    write_equations(tmp_path / "own.m", found)
-    module, text = runpy.run_path(str(tmp_path / "own.py")), (tmp_path / "own.m").read_text("utf-8")
+    module, text = both_texts(tmp_path, told, ("d", "e", "f"))
     for at in ([1.0, -2.0], [-1.0, 2.0], [3.0, 3.0], [0.0, -1.0], [-1.0, -1.0]):
         known = [part.full().ravel() for part in told(at, [0.0])]
         for other in (module["equations"](at, [0.0]), as_matlab(text, at, [0.0])):
@@ -83,18 +88,7 @@ def test_branches_that_are_not_taken_need_no_value(tmp_path):
     angle = ca.if_else(x[0] > 0.1, x[1] / x[0], 0.0)
     root = ca.if_else(x[1] > 0, ca.sqrt(x[1]) + x[1] ** 1.5, 2.0)
     told = ca.Function("equations", [x, u], [ca.vertcat(angle, root), ca.log(x[1])])
-    found = replace(
-        equations_of(AIRCRAFT, 1),
-        states=("a", "b"),
-        inputs=("c",),
-        outputs=("d",),
-        x0=np.zeros(2),
-        u0=np.zeros(1),
-        function=told,
-    )
-    write_equations(tmp_path / "own.py", found)
-    write_equations(tmp_path / "own.m", found)
-    module, text = runpy.run_path(str(tmp_path / "own.py")), (tmp_path / "own.m").read_text("utf-8")
+    module, text = both_texts(tmp_path, told, ("d",))
     for at in ([0.0, -1.0], [1.0, -2.0], [0.0, 1.0], [2.0, 4.0]):
         known = [part.full().ravel() for part in told(at, [0.0])]
         with np.errstate(all="ignore"):
