@@ -198,7 +198,8 @@ class NonlinearEvaluator(Evaluator):
         edges = np.cumsum([record.N for record in self.layout.records])[:-1]
         m = self.matrices(point.lam)
         x, u = self.simulate(point).states, self.inputs(m)
-        flights = list(zip(np.split(x, edges), np.split(u, edges), strict=True))
+        pairs = zip(np.split(x, edges), np.split(u, edges), strict=True)
+        flights = [(x[known], u[known]) for x, u in pairs if (known := np.isfinite(x).all(1)).any()]
         lines = any(record.hold == "foh" for record in self.layout.records)
         late = np.array(self.model.inputs)[lines & m.tau_lam.any(axis=1)].tolist()
         return told(passages(self.model.with_vector(self._full(point.lam)), flights, late))

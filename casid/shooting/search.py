@@ -138,7 +138,7 @@ class Search:
         """The outcome with integration steps short enough, and what shorter ones would change."""
         while isinstance(evaluator := outcome.programme.evaluator, NonlinearEvaluator):
             if not outcome.solution.success:
-                break
+                return _jumping(outcome, evaluator), None
             found = integration(outcome.programme, outcome.solution.x)
             factor = 1 if self.steps else factor_wanted(found, len(evaluator.lengths))
             if factor == 1:
@@ -312,6 +312,13 @@ class Search:
             return solution  # on a kink no steps end, but those on either side
         enough = ROUGHLY if number == 1 and options.tolerance >= ROUGH else LAST
         return completed(programme, start, solution, options, stage, enough)
+
+
+def _jumping(outcome: Outcome, evaluator: NonlinearEvaluator) -> Outcome:
+    """An outcome without success, with the jumps that its simulation passes among the reasons."""
+    with np.errstate(all="ignore"):  # it may have ended anywhere
+        said = evaluator.jumps(outcome.programme.unpack(outcome.solution.x))
+    return outcome.failed(f"{outcome.solution.status}; {said}") if said else outcome
 
 
 def _leads_back(programme: Programme, x: Array, guess: Iterate, a: int) -> bool:

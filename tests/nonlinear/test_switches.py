@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 import scipy
 
-from casid import DataWarning, NonlinearModel, Record, Scalar, output_error, parameter
+from casid import (
+    ConvergenceError,
+    DataWarning,
+    NonlinearModel,
+    Record,
+    Scalar,
+    SolverOptions,
+    output_error,
+    parameter,
+)
 from casid.nonlinear.switches import passages
 
 T = 0.05 * np.arange(400)
@@ -155,3 +164,12 @@ def test_a_fit_says_that_its_errors_miss_how_jumps_move():
     with warnings.catch_warnings():
         warnings.simplefilter("error", DataWarning)
         output_error(Bent(), [flown(Bent())])
+
+
+def test_a_fit_that_fails_names_the_jumps_among_the_reasons():
+    few = SolverOptions(max_iterations=1)
+    with pytest.raises(ConvergenceError, match=r"; dp/dt jumps at 0.5 = fabs\(p\)"):
+        output_error(replace(Roll(), L0=-3.0, Llat=9.0), [flown(Roll())], solver=few)
+    with pytest.raises(ConvergenceError) as caught:
+        output_error(replace(Bent(), L0=-3.0, Llat=9.0), [flown(Bent())], solver=few)
+    assert "jumps" not in str(caught.value)
