@@ -17,9 +17,9 @@ def csv_text(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 def markdown_table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table of cells that are text already."""
-    lines = ["| " + " | ".join(heading) + " |", "|" + "---|" * len(heading)]
-    lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
-    return "\n".join(lines)
+    escaped = [[cell.replace("|", "\\|") for cell in row] for row in (heading, *rows)]
+    first, *others = ["| " + " | ".join(row) + " |" for row in escaped]
+    return "\n".join([first, "|" + "---|" * len(heading), *others])
 
 
 def _plain(value: Any) -> str:  # noqa: ANN401 - a cell

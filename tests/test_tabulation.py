@@ -13,4 +13,4 @@ def test_csv_keeps_ten_digits_flags_and_commas():
 
 
 def test_a_bar_in_a_cell_does_not_end_it():
-    assert markdown_table(["x", "y"], [["a|b", "1"]]) == "| x | y |\n|---|---|\n| a\\|b | 1 |"
+    assert markdown_table(["x|", "y"], [["a|b", "1"]]) == "| x\\| | y |\n|---|---|\n| a\\|b | 1 |"
