@@ -9,6 +9,7 @@ sticks with edges of one sample. Whole delays are held: the likelihood has a kin
 CASE, as "zoh yes 2.25", has the words of a row's first columns; "0-100" for N are certain runs.
 """
 
+import argparse
 import itertools
 import sys
 from dataclasses import replace
@@ -176,13 +177,16 @@ def figures(errors, bounds, _):
 
 
 def main():
-    chosen = sys.argv[1:]
-    if chosen[:1] == ["bo105"]:
-        found = late_estimates(int(chosen[1]) if chosen[1:] else 40)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("runs", nargs="?", default="100", help="N, first-last, or bo105")
+    parser.add_argument("words", nargs="*", help="of a case, or the runs of bo105")
+    options = parser.parse_args()
+    if options.runs == "bo105":
+        found = late_estimates(int((options.words or [40])[0]))
         print(table(("runs", *FIGURES), [(f"{found.shape[1]}", *figures(*found))]))
     else:
-        first, _, last = (chosen or ["100"])[0].rpartition("-")
-        print_campaigns(range(int(first or 0), int(last)), chosen[1:])
+        first, _, last = options.runs.rpartition("-")
+        print_campaigns(range(int(first or 0), int(last)), options.words)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ Run: python -m benchmarks.flights [estimator [seeds [first seed]]]      (estimat
 black-box, output-error, or all; a minute or two each)
 """
 
-import sys
+import argparse
 import warnings
 from dataclasses import replace
 from functools import cache, partial
@@ -296,9 +296,14 @@ def told(how):
 
 
 def main():
-    which = sys.argv[1] if sys.argv[1:] else "all"
-    count, first = (*map(int, sys.argv[2:4]), *(2, 0)[len(sys.argv[2:4]) :])
-    seeds = range(first, first + count)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "estimator", nargs="?", default="all", choices=(*ESTIMATORS, "output-error", "all")
+    )
+    parser.add_argument("seeds", nargs="?", type=int, default=2)
+    parser.add_argument("first", nargs="?", type=int, default=0)
+    options = parser.parse_args()
+    which, seeds = options.estimator, range(options.first, options.first + options.seeds)
     truth = best_linear_approximation()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

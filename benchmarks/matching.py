@@ -7,6 +7,7 @@
 Seconds are processor time of one core: other work on the machine does not count.
 """
 
+import argparse
 import sys
 import time
 from dataclasses import replace
@@ -236,11 +237,13 @@ def monte_carlo(count: int) -> None:
 
 
 if __name__ == "__main__":
-    what = sys.argv[1] if len(sys.argv) > 1 else "speed"
-    number = int(sys.argv[2]) if len(sys.argv) > 2 else None
-    if what == "starts":
-        compare_starts(number or 50)
-    elif what == "bo105":
-        monte_carlo(number or 20)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", nargs="?", default="speed", choices=("starts", "speed", "bo105"))
+    parser.add_argument("number", nargs="?", type=int, help="of starts, or of seeds")
+    options = parser.parse_args()
+    if options.what == "starts":
+        compare_starts(options.number or 50)
+    elif options.what == "bo105":
+        monte_carlo(options.number or 20)
     else:
         measure_speed()

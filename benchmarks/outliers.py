@@ -6,7 +6,7 @@ and five outliers in each; then shares of all samples, or of those of one channe
 Run: python -m benchmarks.outliers [every n-th record]       (a minute or two for all of them)
 """
 
-import sys
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,7 +101,9 @@ def shares(files):
 
 
 def main():
-    step = int(sys.argv[1]) if sys.argv[1:] else 1
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("step", nargs="?", type=int, default=1, help="every n-th record")
+    step = parser.parse_args().step
     files = sorted(EXAMPLES.glob("[a-u]*/data/*.csv"))
     files = [file for file in files if file.parts[-3] in ("ah1s", "aw109", "uh60")][::step]
     lines = []

@@ -7,7 +7,7 @@ error over the runs, in standard errors.
 Run: python -m benchmarks.sensors [runs]      (40 runs: a quarter of a minute)
 """
 
-import sys
+import argparse
 
 import numpy as np
 
@@ -64,7 +64,9 @@ def errors(start, fixed, truth, runs):
 
 
 def main():
-    runs = int(sys.argv[1]) if sys.argv[1:] else 40
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("runs", nargs="?", type=int, default=40)
+    runs = parser.parse_args().runs
     truth = Boom(U0=40.9, W0=2.1, theta0=0.05, **PLACE)
     values = {name: getattr(truth, name) for name in Longitudinal.parameter_names()}
     off = {name: 0.8 * value for name, value in values.items()}

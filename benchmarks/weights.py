@@ -7,7 +7,7 @@ and 0.1 or three of one damping ratio. Judged between the points of the certific
 resonances, by responses computed here.
 """
 
-import sys
+import argparse
 
 import numpy as np
 import scipy.linalg
@@ -74,8 +74,10 @@ def row(kind, order, runs, light=False, damping=None):
     return (beside if light or damping else kind, order, *cells, f"{excess.max():.2f}", do)
 
 
-def main(runs):
-    """Print the table."""
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("runs", nargs="?", type=int, default=100)
+    runs = parser.parse_args().runs
     print("| kind | order | ensembles | violated | least | mean | worst | above 1.5 (would do) |")
     print("|---|---|---|---|---|---|---|---|")
     for kind in ("additive", "multiplicative"):
@@ -87,4 +89,4 @@ def main(runs):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
+    main()
