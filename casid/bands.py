@@ -186,9 +186,10 @@ def response_band(
         raise ValueError("omega: expected finite frequencies above 0 rad/s")
     check_level(level, "share")
     center = fit.model.system().response(omega)
+    unit = np.where(center == 0, 1.0, center)
 
     def of(model: Model) -> Array:
-        ratio = np.log(model.system().response(omega) / np.where(center == 0, 1.0, center))
+        ratio = np.log(np.where(center == 0, 1.0, model.system().response(omega) / unit))
         return np.stack([ratio.real, ratio.imag])
 
     std = np.where(center == 0, 0.0, spread(fit, of))  # what is no path at all stays none

@@ -91,6 +91,11 @@ def check_order(name: str, lower: float, upper: float) -> None:
     """Refuse bounds in the wrong order."""
     if not lower <= upper:  # also refuses NaN
         raise ModelError(f"{name}: lower bound {lower} > upper bound {upper}; swap or correct them")
+    if lower == np.inf or upper == -np.inf:
+        raise ModelError(
+            f"{name}: no number lies within [{lower}, {upper}]; -inf and inf leave the lower and "
+            "the upper bound out"
+        )
     for bound in (lower, upper):
         if np.isfinite(bound) and abs(bound) > WIDEST:
             raise ModelError(

@@ -51,6 +51,33 @@ def test_the_band_of_a_first_order_lag_is_that_of_its_derivatives_by_hand():
     assert (np.diff(found.phase(), axis=0) > 0).all()
 
 
+class Apart(Model):
+    """p' = Lp p + Llat lat, and r' = Nr r + 2 ped: two inputs that move one output each."""
+
+    states, inputs, outputs = ("p", "r"), ("lat", "ped"), ("p", "r")
+    Lp: Scalar = parameter(default=-2.0, lower=-9.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=4.0, lower=0.0, upper=50.0, unit="1/s^2")
+    Nr: Scalar = parameter(default=-1.0, lower=-9.0, upper=0.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[self.Lp, 0], [0, self.Nr]]
+
+    def B(self) -> Rows:
+        return [[self.Llat, 0], [0, 2.0]]
+
+
+def test_where_there_is_no_path_there_is_no_band():
+    t = 0.05 * np.arange(300)
+    u = 0.1 * np.sign(np.stack([np.sin(1.1 * t), np.sin(0.7 * t + 1)], axis=1))
+    noise = 0.01 * np.random.default_rng(4).standard_normal((300, 2))
+    y = Apart().system().simulate(t, u) + noise
+    fit = output_error(Apart(), [Record(t, u, y, Apart.inputs, Apart.outputs, "both")])
+    found, error = response_band(fit, OMEGA), fit["Nr"].std_error
+    by_hand = error * np.abs(np.real(1 / (1j * OMEGA - fit["Nr"].value)))
+    np.testing.assert_allclose(found.magnitude_std[:, 1, 1], by_hand, rtol=1e-5)
+    assert not found.magnitude_std[:, [0, 1], [1, 0]].any()
+
+
 def test_the_band_of_a_real_pole_is_the_error_of_its_parameter():
     fit = values()["Fit"]
     (only,) = mode_bands(fit)

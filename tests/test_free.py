@@ -52,6 +52,7 @@ def test_scales_come_from_the_file_the_guess_or_the_bounds():
         ({"fixed": ("Lq",)}, "Roll has no parameter 'Lq'; known are Yv, Lv"),
         ({"bounds": {"g": (0, 1)}}, "Roll has no parameter 'g'"),
         ({"bounds": {"Lp": (0.0, -1.0)}}, "Lp: lower bound 0.0 > upper bound -1.0"),
+        ({"bounds": {"Lp": (np.inf, np.inf)}}, r"Lp: no number lies within \[inf, inf\]"),
         ({"bounds": {"Lp": (np.nan, 0.0)}}, r"Lp: bounds are \(nan"),
         ({"bounds": {"Lp": -1.0}}, r"Lp: bounds are -1.0, expected two numbers \(lower, upper\)"),
         ({"bounds": {"Lp": (None, 0.0)}}, r"Lp: bounds are \(None, 0.0\), expected two numbers"),

@@ -40,7 +40,8 @@ def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
         )
         raise ValueError(
             f"the model has delays ({told}), the target has none: pass pade=3 for approximations, "
-            "or dataclasses.replace(system, delay=()) to drop them knowingly"
+            "or export a model without delays to drop them knowingly (of a StateSpace "
+            "dataclasses.replace(system, delay=()))"
         )
     lines = [_delay_line(system, j, pade) for j in range(system.nu)]
     A, B, C, D = (scipy.linalg.block_diag(*blocks) for blocks in zip(*lines, strict=True))
