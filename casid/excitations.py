@@ -17,7 +17,7 @@ to all; else their spectra are added, by length: an input counts in a flight by 
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -243,7 +243,6 @@ def flights(records: Records, *, together: bool = False) -> Flights:
     parts = [even(part) for part in whole if np.isfinite(part.y).any()] or list(map(even, whole))
     same_channels(parts)
     parts = moving(parts)
-    same_channels(parts)
     dt = max(part.dt for part in parts)
     parts = [part if part.dt > 0.999 * dt else part.resample(dt) for part in parts]
     columns = [z - z.mean(axis=0) for z in (np.hstack([part.y, part.u]) for part in parts)]
@@ -255,7 +254,9 @@ def flights(records: Records, *, together: bool = False) -> Flights:
 
 
 @one_thread
-def excitation(records: Records, omega: Array | None = None) -> Excitation:
+def excitation(
+    records: Records, omega: Array | None = None, *, direct: Collection[str] = FORCES
+) -> Excitation:
     """How much of the inputs comes from outside and not back from the outputs.
 
     Parameters
@@ -267,11 +268,10 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
         (`outliers`). Samples that only repeat the one before do not count.
     omega : array
         Frequencies [rad/s]; chosen from the records unless given.
+    direct : collection of str
+        Outputs that jump with the inputs.
 
-    Raises
-    ------
-    ValueError
-        Records of different channels, or too short.
+    ValueError: records of different channels, or too short.
     """
     whole = stretches(records)
     flown = flights([at_slowest(without_repeats(part)) for part in whole])
@@ -279,8 +279,7 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     if omega is None:
         longest = max(part.duration for part in parts)
         omega = np.geomspace(min(4 * np.pi / longest, 0.2 / dt), 0.8 * np.pi / dt, POINTS)
-    omega = np.asarray(omega, dtype=float)
-    felt = np.isin(flown.outputs, FORCES)
+    omega, felt = np.asarray(omega, dtype=float), np.isin(flown.outputs, list(direct))
     lower, upper, joint, answers = outside_shares(found, felt, omega * dt)
     # Spectra of p lags scatter as means of N/(2 p) periodograms, with which inputs agree by chance.
     means = sum(each.rows / (2 * len(each.A)) for each in found)
@@ -296,12 +295,12 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     )  # fmt: skip
 
 
-def excitation_if_any(records: Records) -> Excitation | None:
+def excitation_if_any(records: Records, direct: Collection[str] = FORCES) -> Excitation | None:
     """The excitation of records, None where they are too short or nothing moves."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # of gaps, which others tell
         try:
-            return excitation(records)
+            return excitation(records, direct=direct)
         except ValueError:
             return None
 

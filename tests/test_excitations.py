@@ -213,9 +213,8 @@ def test_flights_under_other_feedback_are_judged_one_by_one():
     assert np.median(pooled - truth) > 0.3  # what tells the flights apart, taken for excitation
 
 
-@pytest.mark.parametrize("K", [0.0, 3.0])
-def test_a_force_that_feels_the_stick_at_once_is_no_feedback(K):
-    # 3-2-1-1 as sharp steps: q and az answer, az in the same sample, and q alone is fed back.
+def jumping(K, force="az"):
+    """3-2-1-1 as sharp steps: q and az answer, az in the same sample, and q alone is fed back."""
     rng, flights = np.random.default_rng(int(K)), []
     for k in range(3):
         N = 3000
@@ -227,7 +226,13 @@ def test_a_force_that_feels_the_stick_at_once_is_no_feedback(K):
             u[i] = 0.1 * steps[i] - 0.1 * K * q
             y[i] = q, -5.0 * u[i] + 2.0 * q + 0.05 * rng.standard_normal()
             x = 0.96 * x + 0.05 * u[i]
-        flights.append(Record(DT * np.arange(N), u[:, None], y, ("lon",), ("q", "az"), f"{k}"))
+        flights.append(Record(DT * np.arange(N), u[:, None], y, ("lon",), ("q", force), f"{k}"))
+    return flights
+
+
+@pytest.mark.parametrize("K", [0.0, 3.0])
+def test_a_force_that_feels_the_stick_at_once_is_no_feedback(K):
+    flights = jumping(K)
     found = excitation(flights)
     inside = found.within[:, 0]
     assert not [each for each in found.doubts() if "Of input" in each]
@@ -242,6 +247,15 @@ def test_a_force_that_feels_the_stick_at_once_is_no_feedback(K):
         for each in driven
     ]  # fmt: skip
     assert excitation(felt).lower[:, 0].max() < 0.3
+
+
+def test_outputs_that_jump_with_the_inputs_may_have_any_name():
+    flights = jumping(0.0, "nz")
+    assert "Of input lon only" in excitation(flights).doubts()[0]
+    found = excitation(flights, direct=["nz"])
+    np.testing.assert_array_equal(found.lower, excitation(jumping(0.0)).lower)
+    black_box = pbsid(flights, order=1, pole=4.0, past=8, feedthrough=["nz"], refine=False)
+    np.testing.assert_array_equal(black_box.excitation.lower, found.lower)
 
 
 def test_samples_that_a_slower_sensor_repeats_tell_no_excitation():

@@ -5,10 +5,14 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from casid import report
+from casid.channels import FORCES
 from casid.display import counted
 from casid.errors import warn
-from casid.excitations import Excitation
+from casid.excitations import Excitation, excitation_if_any
+from casid.nonlinear.model import NonlinearModel
 from casid.report.content import Caution, Content, Section, section
 from casid.report.tables import shares
 from casid.stages.stage import Stage, Task
@@ -18,7 +22,7 @@ from casid.tables import placed
 
 
 def _run(settings: Pbsid, task: Task) -> BlackBox:
-    found = settings.fit(task.records)
+    found = _judged(settings.fit(task.records), task)
     if found.system.dt is None or settings.transform is not None:
         return found
     # A structure is compared with the continuous equivalent, which a black box of samples, chosen
@@ -30,8 +34,19 @@ def _run(settings: Pbsid, task: Task) -> BlackBox:
             f"the black box of samples predicts these records best, but {error}; that of Laguerre "
             'projections is taken ([pbsid] transform = "laguerre" says so from the start)'
         )
-        return replace(settings, transform="laguerre").fit(task.records)
+        return _judged(replace(settings, transform="laguerre").fit(task.records), task)
     return found
+
+
+def _judged(found: BlackBox, task: Task) -> BlackBox:
+    """The black box, its excitation judged with the direct terms that the structure has."""
+    if isinstance(task.model, NonlinearModel) or not found.feedthrough.all():
+        return found
+    rows = task.model.system().D.any(axis=1)
+    direct = {*FORCES, *np.array(task.model.outputs)[rows].tolist()}
+    if direct <= {*FORCES}:
+        return found
+    return replace(found, excitation=excitation_if_any(task.records, direct))
 
 
 def _check(settings: Pbsid, task: Task) -> None:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.channels import FORCES
 from casid.record import Record
 from casid.records import Records, check_alive, same_channels, standard_deviations, stretches
 from casid.subspace import columns as blocks
@@ -53,6 +54,12 @@ class Campaign:
     def part(self, records: Sequence[Record]) -> "Campaign":
         """Some of the records, or pieces of them, under the same scales."""
         return Campaign(tuple(records), self.su, self.sy, self.mask)
+
+    @property
+    def direct(self) -> set[str]:
+        """Outputs that jump with the inputs: specific forces, and those singled out by the mask."""
+        told = () if self.mask.all() else np.flatnonzero(self.mask.any(axis=1))
+        return {*FORCES, *(self.records[0].outputs[i] for i in told)}
 
     @cached_property
     def complete(self) -> tuple[Record, ...]:

@@ -288,7 +288,8 @@ class Pbsid:
             uncertainty=estimate.uncertainty, selection=selection, explained=estimate.explained,
             doubtful=estimate.doubtful, missed=estimate.missed,
             refinement="prediction" if causal else settings.refinement,
-            hold=campaign.records[0].hold, excitation=excitation_if_any(campaign.records),
+            hold=campaign.records[0].hold,
+            excitation=excitation_if_any(campaign.records, campaign.direct),
             remarks=tuple(remarks), biased=bool(estimate.remark),
             interval=float(np.median(np.concatenate([np.diff(r.t) for r in campaign.records]))),
         )  # fmt: skip

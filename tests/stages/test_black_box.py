@@ -1,5 +1,6 @@
 """The stage of the black box."""
 
+import warnings
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -8,7 +9,7 @@ import pytest
 from truths.structures import SECOND, black_box
 from truths.systems import campaign, innovation_record, unstable_plant
 
-from casid import DataWarning, Excitation, Pbsid, pbsid
+from casid import DataWarning, Excitation, Pbsid, Record, StateSpace, pbsid
 from casid.report.content import contradicted
 from casid.stages.black_box import BLACK_BOX
 from casid.stages.stage import Task
@@ -83,3 +84,31 @@ def test_records_without_a_model_speak_against_the_structure():
     for explained, against in ((idle + 0.9, False), (idle, True)):
         sections = list(BLACK_BOX.show(replace(sound, explained=explained), SimpleNamespace()))
         assert contradicted(sections) is against
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What of a structure tells which outputs jump with its input."""
+
+    outputs: tuple[str, ...]
+
+    def system(self):
+        D = [[float(name == "nz")] for name in self.outputs]
+        return StateSpace([[-1.0]], [[1.0]], np.ones((len(D), 1)), np.array(D))
+
+
+def test_a_structure_tells_the_stage_which_outputs_jump():
+    rng, N = np.random.default_rng(5), 1500
+    u = np.sign(np.sin(np.cumsum(rng.uniform(0.02, 0.12, N))))[:, None]
+    q = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]).simulate(0.04 * np.arange(N), u)
+    y = np.hstack([q, 2 * u - q]) + 0.02 * rng.standard_normal((N, 2))
+    record = Record(0.04 * np.arange(N), u, y, ("lon",), ("q", "nz"), "steps")
+    settings = Pbsid(order=1, pole=4.0, past=8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)
+        known, unknown = (
+            BLACK_BOX.run(settings, Task(model=Felt(outputs), records=(record,))).excitation
+            for outputs in (("q", "nz"), ("q", "az"))
+        )
+    assert unknown.doubts()
+    assert not known.doubts()
