@@ -1,22 +1,23 @@
 """The same fit many times: with other noise, with the residuals shuffled."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.arrays import Array
+from casid.bounds.draws import BlockDraw, KnownInitial, NoiseDraw
 from casid.bounds.trials import Draw, Fits
 from casid.checks import check_known, check_level
 from casid.display import Shown, counted, listed
+from casid.errors import warn
 from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.free import free_parameters
 from casid.jobs.campaigns import Execution
-from casid.model import Bounds, Model
+from casid.model import Bounds, Initial, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several, stretches
@@ -108,53 +109,6 @@ class Ensemble(Shown):
         return markdown_table(heading, rows)
 
 
-@dataclass(frozen=True)
-class NoiseDraw:
-    """White noise of one seed on every record."""
-
-    std: Mapping[str, float]
-    seed: tuple[int, ...]
-
-    def __call__(self, records: tuple[Any, ...]) -> tuple[Record, ...]:
-        """Noisy records."""
-        rng = np.random.default_rng(self.seed)
-        return tuple(record.with_noise(self.std, rng) for record in records)
-
-
-@dataclass(frozen=True, eq=False)
-class BlockDraw:
-    """Residuals put back on the simulation in blocks drawn from their own record, circularly."""
-
-    residuals: tuple[Array, ...]
-    block: float
-    seed: tuple[int, ...]
-
-    def __call__(self, records: tuple[Any, ...]) -> tuple[Record, ...]:
-        """Records with shuffled residuals; samples are missing where they were."""
-        rng = np.random.default_rng(self.seed)
-        drawn = []
-        for record, residual in zip(records, self.residuals, strict=True):
-            length = min(max(round(self.block / record.dt), 1), record.N)
-            first = rng.integers(record.N, size=-(-record.N // length))
-            columns = [_shuffled(each, first, length) for each in residual.T]
-            drawn.append(replace(record, y=record.y + np.column_stack(columns)))
-        return tuple(drawn)
-
-
-def _shuffled(residual: Array, first: NDArray[np.intp], length: int) -> Array:
-    """Residuals (N,) of an output in blocks that begin with these, NaN where they are.
-
-    Its samples follow each other within a block whatever lies between them, so that as many are
-    left of an output that is measured less often.
-    """
-    there = np.flatnonzero(np.isfinite(residual))
-    begin, own = np.searchsorted(there, [first, length * np.arange(len(first))])
-    source = (begin - own)[there // length] + np.arange(len(there))
-    drawn = np.full(len(residual), np.nan)
-    drawn[there] = residual[there[source % max(len(there), 1)]]
-    return drawn
-
-
 def monte_carlo(
     model: Model,
     records: Record | Sequence[Record],
@@ -233,8 +187,9 @@ def bootstrap(
         longest record.
     estimator, execution
         As in `compare_bounds`; an estimator from records, with the fit's ``biases`` and
-        ``state_biases``. Values of its priors are drawn too, about the estimates: they are
-        measurements like others.
+        ``state_biases``. Values of its priors are drawn too, about the estimates, being
+        measurements like others, and initial states about what is known of them, of a linear
+        structure.
     fixed, bounds
         Beside those of the fit: what it held is held, within its bounds unless there are others.
 
@@ -253,10 +208,11 @@ def bootstrap(
             "longer blocks there are too few to draw from"
         )
     model, nonlinear = fit.model, isinstance(fit.model, NonlinearModel)
-    flying, begins = _flying(fit, len(flown), tuple(getattr(estimator, "state_biases", ())))
+    flying, x0 = _flying(fit, len(flown), tuple(getattr(estimator, "state_biases", ())))
     _check_biases(fit, estimator)
     simulated = [
-        _simulated(flying, record, *known) for record, known in zip(flown, begins, strict=True)
+        _simulated(flying, record, *known)
+        for record, *known in zip(flown, x0, np.asarray(fit.biases), strict=True)
     ]
     residuals = tuple(
         (record.total() if nonlinear else record).select(model.inputs, model.outputs).y - clean.y
@@ -264,7 +220,8 @@ def bootstrap(
     )
     known = any(getattr(estimator, each, None) for each in ("priors", "initial"))
     _check_residuals(fit, residuals, known=known)
-    draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
+    initial = _initial(estimator, flying, x0)
+    draws: list[Draw] = [BlockDraw(residuals, block, (seed, run), initial) for run in range(runs)]
     again = [_redrawn(estimator, model, (seed, run)) for run in range(runs)]
     held = (*fixed, *(row.name for row in fit.parameters if row.fixed and row.name not in fixed))
     own = {row.name: (row.lower, row.upper) for row in fit.parameters if row.name not in held}
@@ -272,10 +229,8 @@ def bootstrap(
     return _ensemble(many, draws, fit, again)
 
 
-def _flying(
-    fit: AnyFit, records: int, state_biases: tuple[str, ...]
-) -> tuple[Model, Iterator[tuple[Array, Array]]]:
-    """The model with the fit's constants as states, initial states and biases of each record.
+def _flying(fit: AnyFit, records: int, state_biases: tuple[str, ...]) -> tuple[Model, Array]:
+    """The model with the fit's constants as states, and the initial states of each record.
 
     ValueError unless the fit is one of so many records and of these constants.
     """
@@ -295,8 +250,25 @@ def _flying(
     flying = wider(fit.model, state_biases)
     names = (*fit.model.states, *bias_states(state_biases))
     order = [names.index(state) for state in flying.states]
-    x0 = np.hstack([fit.initial_states, constants])[:, order]
-    return flying, zip(x0, fit.biases, strict=True)
+    return flying, np.hstack([fit.initial_states, constants])[:, order]
+
+
+def _initial(estimator: Estimator, flying: Model, x0: Array) -> KnownInitial | None:
+    """What is known of the initial states (records, nx); None where that is nothing."""
+    told: Initial = getattr(estimator, "initial", None) or {}
+    if not told:
+        return None
+    if isinstance(flying, NonlinearModel):
+        warn(
+            "bootstrap: initial states of a nonlinear structure that are known begin all draws "
+            "alike; what their errors add to the scatter is missing"
+        )
+        return None
+    away, std = np.zeros_like(x0), np.zeros(len(flying.states))
+    for name, (mean, error) in told.items():
+        i = flying.states.index(name)
+        away[:, i], std[i] = float(mean) - x0[:, i], error
+    return KnownInitial(flying.system(), tuple(away), std)
 
 
 def _check_biases(fit: AnyFit, estimator: Estimator) -> None:

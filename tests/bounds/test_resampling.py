@@ -7,7 +7,6 @@ import pytest
 from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
 from casid import Ensemble, Execution, OutputError, bootstrap, monte_carlo, output_error
-from casid.bounds.resampling import BlockDraw
 
 HERE = Execution(executor=Inline())
 RUNS = 40
@@ -135,31 +134,6 @@ def test_scatter_is_the_unbiased_standard_deviation_and_coverage_counts_interval
     assert found.bias == pytest.approx(0.5)
     assert found.scatter == pytest.approx(np.sqrt((1.5**2 + 0.5**2 + 2**2) / 2))
     assert found.coverage == pytest.approx(2 / 3)  # 1 ± 1.18 and 2 ± 0.2, not 4.5 ± 1.96
-
-
-def test_blocks_keep_the_order_of_their_residuals_and_begin_anywhere():
-    r = record()
-    flat = replace(r, y=np.zeros_like(r.y))
-    number = np.arange(r.N, dtype=float)[:, None]
-    (drawn,) = BlockDraw((number,), 0.5, (0, 1))((flat,))  # 20 Hz: blocks of 10
-    blocks = drawn.y.reshape(-1, 10)
-    np.testing.assert_array_equal(np.diff(blocks, axis=1) % r.N, 1)
-    assert len(set(blocks[:, 0])) > 30  # of 40, drawn out of 400
-    assert (np.diff(blocks[:, 0]) % r.N != 10).any()
-
-
-def test_an_output_measured_less_often_keeps_its_samples_and_their_order():
-    r = record()
-    number = np.arange(r.N, dtype=float)[:, None]
-    number[np.arange(r.N) % 4 > 0] = np.nan  # every fourth
-    two = np.hstack([np.arange(r.N, dtype=float)[:, None], number])
-    flat = replace(r, y=np.zeros((r.N, 2)), outputs=("y", "slow"))
-    (drawn,) = BlockDraw((two,), 2.0, (0, 1))((flat,))  # blocks of 40, ten of the slow one
-    np.testing.assert_array_equal(np.isfinite(drawn.y), np.isfinite(two))
-    slow = drawn.y[::4, 1].reshape(-1, 10)
-    np.testing.assert_array_equal(np.diff(slow, axis=1) % r.N, 4)
-    apart = np.abs(drawn.y[::4, 0] - drawn.y[::4, 1])  # blocks of both outputs from one place
-    assert (np.minimum(apart, r.N - apart) < 4).all()
 
 
 def test_what_a_prior_tells_scatters_too():
