@@ -37,7 +37,7 @@ def source_interval(record: Record, marks: BoolArray, channel: int) -> float:
     """Interval [s] of the source behind a channel with these ``marks`` of `repeated`."""
     x = np.hstack([record.u, record.y])[:, channel]
     resting = np.concatenate([[False], np.diff(x) == 0]) & ~marks[:, channel]
-    fresh = ~(resting | marks[:, channel])
+    fresh = np.isfinite(x) & ~(resting | marks[:, channel])
     return float(record.dt * (~resting).sum() / max(fresh.sum(), 1))
 
 
@@ -83,7 +83,8 @@ def _repeated(x: Array) -> BoolArray:
     lively = scipy.ndimage.maximum_filter1d(ends, AROUND) > IDLE * np.median(moves)
     flying = lively & (lengths <= max(SHORT, LONGER * np.median(lengths)))
     equal = np.concatenate([[False], steps == 0]) & np.repeat(flying, lengths)
-    by_chance = np.sum(moves < 1.5 * moves.min()) / 2  # of counts: as often as half of single ones
+    single = np.sum(moves < 1.5 * moves.min())  # steps of one count; none is half as frequent
+    by_chance = (single + 2 * np.sqrt(single) + 2) / 2  # at most, as few of them tell
     if equal.sum() < max(SHARE * lengths[flying].sum(), LONGER * by_chance):
         return none
     none[at[equal]] = True

@@ -145,10 +145,10 @@ class Validation(Shown):
     @property
     def adrift(self) -> str:
         """Outputs that a growing model predicts worse than their means do, with the remedy."""
-        fits = [self.fit[name] for name, rate in self.growth.items() if rate]
-        if self.closed_loop or not fits:
-            return ""
-        poor = np.any(np.vstack(fits) < 0, axis=0)
+        grow = [name for name, rate in self.growth.items() if rate and not self.closed_loop]
+        poor = [  # in all records together: where one rests, its mean is as good as any model
+            any(measures(self, name, i)[1] < 0 for name in grow) for i in range(len(self.outputs))
+        ]
         names = [name for name, each in zip(self.outputs, poor, strict=True) if each]
         why = "such growth is not there, or a controller answers it: closed_loop=True allows for it"
         return f"Worse than by their means are predicted {listed(names)}: {why}. " * bool(names)

@@ -233,6 +233,31 @@ def test_inputs_of_a_controller_tell_of_disturbances_ahead():
     assert "Worse than" not in told.predicted
 
 
+def test_a_record_in_which_an_output_rests_does_not_make_growth_doubtful():
+    # The truth grows and is flown by nobody; in the second record there is nothing but noise.
+    truth = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], inputs=("lat",), outputs=("p",))
+    t, rng = 0.05 * np.arange(300), np.random.default_rng(3)
+    stick = 0.1 * np.sign(np.sin(1.5 * t))[:, None]
+    records = [
+        Record(
+            t,
+            u,
+            truth.simulate(t, u) + 0.02 * rng.standard_normal((300, 1)),
+            ("lat",),
+            ("p",),
+            name,
+        )
+        for name, u in (("moved", stick), ("rest", np.zeros_like(stick)))
+    ]
+    found = validate({"truth": truth}, records, horizon=3.0)
+    (moved,), (rested,) = found.fit["truth"]
+    assert moved > 90
+    assert rested < 0
+    assert not found.adrift
+    wrong = replace(truth, B=-truth.B)
+    assert "predicted p: such growth" in validate({"wrong": wrong}, records, horizon=3.0).adrift
+
+
 def test_expecting_outputs_where_a_controller_keeps_them_excuses_no_wrong_input():
     system, record = regulated(3)
     models = {"truth": system} | {

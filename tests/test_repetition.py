@@ -79,3 +79,23 @@ def test_repeated_outputs_become_missing_and_inputs_are_read_by_their_hold():
     np.testing.assert_array_equal(steps.u[:, 0], flown.u[: steps.N, 0])
     whole = record(WAVE, WAVE)
     assert without_repeats(whole) is whole
+
+
+def test_blanks_between_the_samples_of_a_noisy_slow_channel_are_no_repeats():
+    # 10 Hz in a log of 50 Hz, rounded to hundredths of a knot: two alike in a row are chance.
+    t, step = 0.02 * np.arange(651), 0.01 * 1852 / 3600
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        v = 0.3 * np.sin(0.8 * t) * (t > 2) + 0.08 * rng.standard_normal(len(t))
+        v = np.where(np.arange(len(t)) % 5, np.nan, np.round(v / step) * step)
+        flown = Record(t, np.sin(t)[:, None], v[:, None], ("lat",), ("v",), "blanks")
+        assert not repeated(flown).any()
+
+
+def test_the_interval_of_a_source_counts_its_own_samples_alone():
+    t = 0.02 * np.arange(600)
+    slow = np.repeat(np.cumsum(np.random.default_rng(1).standard_normal(60)), 2)  # 5 Hz at 10 Hz
+    v = np.full(600, np.nan)
+    v[::5] = slow
+    flown = Record(t, np.sin(t)[:, None], v[:, None], ("lat",), ("v",), "blanks")
+    assert source_interval(flown, repeated(flown), 1) == pytest.approx(0.2)
