@@ -24,7 +24,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.checks import check_asked
-from casid.display import Shown
+from casid.display import Shown, listed
 from casid.errors import warn
 from casid.fit import AnyFit
 from casid.free import Free
@@ -128,11 +128,14 @@ class Distances(Shown):
         Every pair and band.
     level : float
         Chance that noise alone makes any ``far``.
+    held : tuple of str
+        Parameters on a bound where the structure comes nearest, which may be what is missed.
     """
 
     structure: str
     rows: tuple[Distance, ...]
     level: float
+    held: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """The verdict."""
@@ -142,8 +145,14 @@ class Distances(Shown):
             return f"{self.structure} misses nothing that the records show{left}"
         return (
             f"{self.structure} misses something in {len(faults)} of {len(self.rows)} bands of "
-            f"pairs; {faults[0].told()}"
+            f"pairs; {faults[0].told()}{self.bounded}"
         )
+
+    @property
+    def bounded(self) -> str:
+        """What is said of bounds that keep the structure away; "" of none."""
+        are = "is on a bound there, which" if len(self.held) == 1 else "are on bounds there, which"
+        return f"; {listed(self.held)} {are} may be the reason" if self.held else ""
 
     @property
     def enough(self) -> bool:
@@ -273,7 +282,8 @@ def distances(
                     **_measured(measured, black_box, (output, channel), edges, chance),
                 )
                 rows.append(row)
-    return Distances(structure=type(free.model).__name__, rows=tuple(rows), level=level)
+    name = type(free.model).__name__
+    return Distances(structure=name, rows=tuple(rows), level=level, held=found.held)
 
 
 def _known(known: tuple[float, float], asked: tuple[float, float] | None) -> tuple[float, float]:

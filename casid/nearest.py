@@ -112,13 +112,14 @@ class Nearest:
 
     ``E`` (K, ny, nu) is its response less the black box's; ``factor`` (K, ny, nu, rank) what it is
     if the structure is true: minus factor z, with the z of the black box's errors; ``cost`` what
-    weights by what is left minimise.
+    weights by what is left minimise. ``held`` names parameters that are on a bound there.
     """
 
     model: Model
     cost: float
     E: ComplexArray
     factor: ComplexArray
+    held: tuple[str, ...] = ()
 
 
 def nearest(free: Free, target: BoxResponse) -> Nearest:
@@ -143,7 +144,8 @@ def nearest(free: Free, target: BoxResponse) -> Nearest:
     factor = _left(target.F, target.scale * dG[inside], W)
     E = target.scale * G - target.G
     cost = float(np.sum(counted**2 * np.log1p(target.smoothed(E) / target.variance)))
-    return Nearest(model=moved, cost=cost, E=E, factor=factor)
+    held = tuple(np.array(free.names)[~inside].tolist())
+    return Nearest(model=moved, cost=cost, E=E, factor=factor, held=held)
 
 
 def _settled(free: Free, target: BoxResponse, lam: Array, W: Array) -> Array:

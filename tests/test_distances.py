@@ -81,6 +81,15 @@ def test_a_fit_is_judged_with_what_it_holds_fixed():
     assert distances(fit.model, box(1), band=BAND).enough
 
 
+def test_bounds_that_keep_a_structure_away_are_told():
+    bounds = {"Llat": (1.5 * TRUTH.Llat, 3 * TRUTH.Llat)}
+    fit = match(off(), box(1), bounds=bounds, norm="quadratic", omega=np.geomspace(*BAND, 20))
+    found = distances(fit, box(1), band=BAND)
+    assert not found.enough
+    assert "Llat" in found.held
+    assert "may be the reason" in found.headline()
+
+
 def test_a_black_box_that_measurements_contradict_is_no_fault_of_the_structure():
     found = distances(NoSideslip(), box(1), measured(1.3), band=BAND)
     hidden = [row for row in found.rows if not row.doubted]  # by the black box's own error

@@ -36,6 +36,8 @@ def test_parameters_stay_within_their_bounds():
     found = nearest(free, response(TRUTH))
     assert found.model.Lp >= -1.5
     assert found.model.tau >= 0.1
+    assert {"Lp", "tau"} <= set(found.held)
+    assert not nearest(free_parameters(off(share=0.2)), response(TRUTH)).held
     assert np.abs(found.E).max() > 1e-2
 
 

@@ -254,7 +254,7 @@ def test_a_record_in_which_an_output_rests_does_not_make_growth_doubtful():
     assert moved > 90
     assert rested < 0
     assert not found.adrift
-    wrong = replace(truth, B=-truth.B)
+    wrong = replace(truth, A=np.array([[1.5]]))
     assert "predicted p: such growth" in validate({"wrong": wrong}, records, horizon=3.0).adrift
 
 

@@ -15,11 +15,14 @@ their points count less by as much, as lines of records do by their spectrum.
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.display import listed
+from casid.errors import warn
 from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
 from casid.fit import AnyFit, Fit
@@ -32,7 +35,14 @@ from casid.record import Record
 REACH = 0.35  # of the smoothing [nepers of frequency]
 SURE = 4.0  # standard errors of a mean power above one that noise does not explain
 ROUNDS = 4  # of estimates, each weighed by the residuals of the last
+FAR = 3.0  # stated errors that half of a pair's points are off, above which that is told
 ALIKE = 0.2  # change of a weight's logarithm that makes no other estimate
+
+
+WHY = (
+    "in half of their points or more: a unit or a sign, another flight condition, or what the "
+    "structure misses. They count less by as much"
+)
 
 
 class MeasuredResponses:
@@ -60,6 +70,20 @@ class MeasuredResponses:
         for each, (r, _) in zip(self._responses, plain._parts(values), strict=True):
             found.append(each.excess(r))
         return tuple(found)
+
+    def contradicted(self) -> str:
+        """Pairs whose points, half of them or more, are far beyond their stated errors; or ""."""
+        pairs = zip(self._responses, self.weights, strict=True)
+        far = [
+            f"{output} after {inp} {factor:.2g} times"
+            for each, weights in pairs
+            for output, inp, factor in each.factors(weights)
+            if factor > FAR
+        ]
+        return (
+            f"measured responses are farther off than their stated errors, {listed(far)}, {WHY}"
+            * bool(far)
+        )
 
     def residuals(self, values: Array) -> tuple[Array, Array]:
         """Independent residuals (m,) of unit variance at free values (nf,), and derivatives."""
@@ -105,6 +129,8 @@ def reweighed(
         fit = estimate(own, not settled)
         iterations, seconds = iterations + fit.iterations, seconds + fit.seconds
         if settled:
+            if said := evidence.weighed(weights).contradicted():
+                warn(f"{fit.method}: {said}")
             notes = replace(fit.notes, response_weights=tuple(weights))
             return replace(fit, notes=notes, iterations=iterations, seconds=seconds)
         lam, rounds = fit.model.vector()[free.index], rounds + 1
@@ -127,8 +153,18 @@ class _Measured:
         wanted[np.ix_(rows, columns)] = True
         self._whiten, self._s = whitener(steadied(response), wanted), 1j * response.omega
         self._G = np.where(self._whiten.used, response.G, 1.0)
+        self._names = response.outputs, response.inputs
         stated = np.nan_to_num(response.coherence, nan=1.0) < 1
         self._relative = self._whiten.used & ~stated
+
+    def factors(self, weights: Array) -> list[tuple[str, str, float]]:
+        """Output, input and by how much their points count less, at the median of each pair's."""
+        found, first, nu = [], 0, len(self._names[1])
+        for pair, at, _ in self._whiten.along:
+            output, inp = self._names[0][pair // nu], self._names[1][pair % nu]
+            found.append((output, inp, float(np.median(1 / weights[first : first + len(at)]))))
+            first += len(at)
+        return found
 
     @property
     def rows(self) -> int:
@@ -189,3 +225,23 @@ def check_responses(
                 )
             own |= dict.fromkeys(prints, name)
         seen |= own
+    same = (_same_numbers(*two) for two in combinations(responses, 2))
+    if pair := next(filter(None, same), ""):
+        raise ValueError(
+            f"two responses have the same numbers of {pair}: no datum counts twice; leave one out"
+        )
+
+
+def _same_numbers(one: FrequencyResponse, other: FrequencyResponse) -> str:
+    """A pair of which two responses have the same points; "" without any."""
+    for i, output in enumerate(one.outputs):
+        for j, inp in enumerate(one.inputs):
+            if output in other.outputs and inp in other.inputs:
+                a, b = (
+                    one.G[:, i, j],
+                    other.G[:, other.outputs.index(output), other.inputs.index(inp)],
+                )
+                common = set(zip(one.omega, a, strict=True)) & set(zip(other.omega, b, strict=True))
+                if any(np.isfinite(x) for _, x in common):
+                    return f"{output} after {inp}"
+    return ""

@@ -60,7 +60,11 @@ def _show(found: Distances, content: Content) -> Iterable[Section]:  # noqa: ARG
     else:
         outputs = list(dict.fromkeys(row.output for row in found.faults))
         more = f"; something of {listed(outputs[1:], NAMED)} too" if outputs[1:] else ""
-        said = [Caution(f"The structure is not enough: {found.faults[0].told()}{more}.", 1)]
+        said = [
+            Caution(
+                f"The structure is not enough: {found.faults[0].told()}{more}{found.bounded}.", 1
+            )
+        ]
         answer = f"It is farther from the black box than errors explain: {found.sentences()[0]}."
     if found.left_out:
         far = dict.fromkeys(row.output for row in found.rows if row.far and row.fed_back)

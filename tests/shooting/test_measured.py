@@ -1,5 +1,6 @@
 """Measured responses in the likelihood of records, in both domains."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import scipy.signal
 from truths.closed_roll import NAMES, TRUTH, campaign, off
 
 from casid import (
+    DataWarning,
     FrequencyResponse,
     Model,
     OutputError,
@@ -186,6 +188,29 @@ def test_what_a_structure_misses_of_a_response_counts_less():
     assert apart < 4 * fits[0]["Llat"].std_error
     again = OutputError(responses=[wrong]).fit(TRUTH, RECORDS, near=fits[1])
     np.testing.assert_array_equal(again.notes.response_weights[0], fewer)
+
+
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_a_response_in_another_unit_or_of_another_sign_is_told(domain):
+    for factor in (-1.0, np.degrees(1.0)):
+        stated = measured()
+        G = stated.G.copy()
+        G[:, stated.index("p", "lat")[0]] *= factor
+        with pytest.warns(DataWarning, match=r"p after lat [\d.]+ times.*a unit or a sign"):
+            output_error(TRUTH, RECORDS, responses=replace(stated, G=G), domain=domain)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataWarning)
+        output_error(TRUTH, RECORDS, responses=measured(), domain=domain)
+
+
+def test_the_same_numbers_count_once():
+    one, other = measured(seed=1), measured(seed=2)
+    G = other.G.copy()
+    G[3, 1, 0] = one.G[3, 1, 0]
+    pair = f"{one.outputs[1]} after {one.inputs[0]}"
+    with pytest.raises(ValueError, match=f"two responses have the same numbers of {pair}"):
+        output_error(TRUTH, RECORDS, responses=[one, replace(other, G=G)])
+    output_error(TRUTH, RECORDS, responses=[one, other])
 
 
 def test_draws_of_records_alone_are_refused():

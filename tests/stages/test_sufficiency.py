@@ -31,6 +31,8 @@ def test_a_structure_that_is_not_enough_is_the_first_caution():
     assert caution.text.endswith("; something of p too.")
     (one,) = SUFFICIENCY.show(found(("p", 9.0)), None)
     assert one.cautions[0].text.endswith("20% of its response.")
+    (near,) = SUFFICIENCY.show(dataclasses.replace(found(("p", 9.0)), held=("Lp", "tau")), None)
+    assert near.cautions[0].text.endswith("; Lp, tau are on bounds there, which may be the reason.")
     (silent,) = SUFFICIENCY.show(found(("p", 1.0)), None)
     assert silent.cautions == ()
 
