@@ -12,7 +12,7 @@ early is open, by its direct part: none of it is a skew.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.flightpath import LATE
 from casid.consistency.instruments import CLOCKS, OWN, Instruments
-from casid.consistency.rigid import clock_of
+from casid.consistency.rigid import clock_of, spoiled
 from casid.consistency.voting import SKEW, Late, apart, shared, significant
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
@@ -57,6 +57,11 @@ class Apart:
     def shifts(self) -> dict[str, float]:
         """What `Record.shift` brings it into line."""
         return {name: -late for name, (late, _) in self.late.items()}
+
+    def without(self, odd: Collection[str]) -> "Apart":
+        """The same of all whose equations need none of those that are odd."""
+        kept = {name: one for name, one in self.late.items() if not spoiled(name, odd)}
+        return replace(self, late=kept)
 
     def told(self) -> tuple[str, ...]:
         """A remark on every clock, if there is any."""

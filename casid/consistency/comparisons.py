@@ -10,6 +10,7 @@ from casid.consistency.apart import KNOWN, Apart
 from casid.consistency.flightpath import LATE
 from casid.consistency.further import ROUGH, in_some, mistake
 from casid.consistency.instruments import OWN, Instruments
+from casid.consistency.rigid import spoiled
 from casid.consistency.signs import Signs, reversed_channels
 from casid.consistency.voting import SIGNIFICANT, significant
 
@@ -61,14 +62,16 @@ def judged(
     solution: Instruments,
     name: str,
     spread: float,
-    rough: set[str],
+    poor: tuple[Collection[str], Collection[str]],
     labels: Collection[str],
     apart: Apart,
     signs: Signs,
 ) -> ChannelCheck:
     """What one channel is, of instruments found, and what is wrong with it.
 
-    It moves by ``spread``; equations that are ``rough`` say less, ``labels`` are the records'.
+    It moves by ``spread``; of equations that are ``poor`` the first, rough ones, say less, and no
+    scale and skew is told by those that need one of the others, which do not follow; ``labels`` are
+    the records'.
     """
     i = solution.channels.index(name)
     gain, skew = map(float, solution.unknowns[i])
@@ -97,7 +100,10 @@ def judged(
     )
     if limit:
         return replace(check, remarks=(limit.told(name, UNITS[name], OWN[name]),))
-    tolerance = ROUGH if rough & set(against) else SCALE
+    rough, odd = poor
+    tolerance = ROUGH if {*rough} & {*against} else SCALE
+    if any(spoiled(name, odd) for name in against):
+        tolerance = np.inf
     if ended:
         said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "
         return replace(check, remarks=(f"{said}look at the clocks of both",))
@@ -125,7 +131,7 @@ def _remarks(
             f"{_implied(check.against)}: {why}"
         )
     late, error = apart.left[check.channel]
-    if significant(late, error):
+    if np.isfinite(tolerance) and significant(late, error):
         moved = ", once these have moved" if {*check.against} & {*apart.names} else ""
         said.append(
             f"{check.channel} is {abs(late):.3g} ± {error:.1g} s {'late' if late > 0 else 'early'} "

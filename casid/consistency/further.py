@@ -85,13 +85,13 @@ def mistake(factor: float) -> str:
 
 def unexplained(
     solution: Instruments, flights: Sequence[Flight], labels: Mapping[int, str]
-) -> tuple[str, ...]:
-    """Remarks on attitudes and velocities that no scale, bias and skew brings into line.
+) -> dict[str, str]:
+    """Remarks on attitudes and velocities that no scale, bias and skew brings into line, by name.
 
     Record by record (``labels`` by number): of many a sensor is frozen in one, which spoils the
     scale in all. A record in which little moves is measured by half of what moves in the others.
     """
-    said, of = [], np.array([flight.record for flight in flights])
+    said, of = dict[str, str](), np.array([flight.record for flight in flights])
     limited = {OWN[name] for name in solution.limits}
     for each, left in solution.left.items():
         if each in limited:  # which is told as such
@@ -114,11 +114,11 @@ def unexplained(
             names = [
                 name for name, one in zip(labels.values(), share, strict=True) if one > most / 2
             ]
-            said.append(
+            said[each] = (
                 f"{each} does not follow from the other channels{in_some(names, labels)}: {much}; "
                 "look at the signs, units and axes of all"
             )
-    return tuple(said)
+    return said
 
 
 def in_some(names: Sequence[str], records: Collection[object]) -> str:

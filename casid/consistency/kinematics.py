@@ -217,6 +217,8 @@ def _reconstructed(
         return KinematicCheck(
             channels=(), residuals={}, notes=tuple(notes), further=by_record, by_record=by_record
         )
+    odd = unexplained(solution, flights, labels)
+    apart = apart.without(odd)  # what does not follow at any time is not late
     spread = {
         name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
         for name in (*solution.channels, *equations)
@@ -224,7 +226,7 @@ def _reconstructed(
     level = _about_zero(flights, "theta", LEVEL)
     rough = {name for name in equations if level or not WHOLE[name] <= names}
     checks = tuple(
-        judged(solution, n, spread[n], rough, labels.values(), apart, signs)
+        judged(solution, n, spread[n], (rough, odd), labels.values(), apart, signs)
         for n in solution.channels
     )
     untold = [
@@ -241,7 +243,7 @@ def _reconstructed(
         further=(
             *signs.told(recorded),
             *against_gravity(flights, names),
-            *unexplained(solution, flights, labels),
+            *odd.values(),
             *misplaced(place, errors),
             *apart.told(),
             *drifts.told(),

@@ -20,6 +20,7 @@ FARTHEST = 30.0  # s, of clocks
 TURN = 0.5  # s: over which turns are compared
 ROUNDING = 1e-6  # of the largest size of moves that is none
 COARSE = 2.0  # steps in which an attitude is counted that it turns at least
+CERTAIN, CLEARLY = 0.95, 0.03  # correlation with another rate than its own, and how much more
 COHERENT, MORE = 0.85, 0.1  # correlation of a far lag, and by how much more than a near one's
 
 
@@ -54,6 +55,12 @@ def clocks_apart(
     makes = {angle: f"{rate} turns" for rate, angle in zip(RATES, ATTITUDES, strict=True)}
     makes |= dict.fromkeys(VELOCITIES, "specific forces move")
     for angle, what in makes.items():
+        if other := _another(list(longest.values()), angle, near):
+            said.append(
+                f"{angle} goes with what {other} turns rather than with what {what}: look at the "
+                "axes of both; kinematics unchecked"
+            )
+            continue
         found = {k: _late(longest[k], angle, near) for k in labels if k in longest}
         told = {labels[k]: one for k, one in found.items() if one is not None}
         far = {name: late for name, (late, _) in told.items() if abs(late) > near}
@@ -78,6 +85,25 @@ def clocks_apart(
     return tuple(said), split
 
 
+def _another(flights: Sequence[Flight], angle: str, near: float) -> str:
+    """The rate that an attitude goes with at once, where its own does so at no time; or ""."""
+    if angle not in ATTITUDES:
+        return ""
+    own, votes = RATES[ATTITUDES.index(angle)], set[str]()
+    for flight in flights:
+        alike = {}
+        for name in RATES if angle in flight.values else ():
+            found = _correlated(flight, angle, flight.values.get(name), near)
+            if found is not None:
+                most, reach = (len(found) - 1) // 2, int(near / flight.dt)
+                about = found if name == own else found[most - reach : most + reach + 1]
+                alike[name] = float(np.abs(about).max())
+        best = max(alike, key=alike.__getitem__, default=own)
+        if own in alike and alike[best] > CERTAIN:
+            votes.add(best if alike[best] > alike[own] + CLEARLY else own)
+    return votes.pop() if len(votes) == 1 and own not in votes else ""
+
+
 def _derivative(flight: Flight, name: str) -> Array | None:
     """What moves an attitude or velocity, of channels that need not be of its clock; if all are."""
     if name in ATTITUDES:
@@ -91,18 +117,11 @@ def _derivative(flight: Flight, name: str) -> Array | None:
 
 def _late(flight: Flight, angle: str, near: float) -> tuple[float, float] | None:
     """How late one is after what turns or moves it [s], and their correlation, if told."""
-    step = max(1, round(TURN / flight.dt))
-    most = int(min(FARTHEST, flight.t[-1] / 4) / flight.dt)
-    inside = slice(most - int(near / flight.dt), most + int(near / flight.dt) + 1)
-    derivative = _derivative(flight, angle)
-    if derivative is None or inside.start < 1:
+    signed = _correlated(flight, angle, _derivative(flight, angle), near)
+    if signed is None:
         return None
-    moves = derivative - derivative.mean()
-    turned = np.cumsum(moves) - moves / 2
-    x, y = (z[step:] - z[:-step] for z in (flight.values[angle], turned))
-    if x.std() < COARSE * least_step(flight.values[angle]):
-        return None  # it follows its own steps, not what the rate turns
-    signed = correlations(x - x.mean(), y - y.mean(), most)
+    most, reach = (len(signed) - 1) // 2, int(near / flight.dt)
+    inside = slice(most - reach, most + reach + 1)
     alike = np.abs(signed)
     k, close = int(np.argmax(alike)), alike[inside]
     # Half a period of an oscillation off is no clock, but the other way round.
@@ -113,3 +132,17 @@ def _late(flight: Flight, angle: str, near: float) -> tuple[float, float] | None
     if abs(late) > near and alike[k] < tops.max(initial=0.0) + MORE:
         return None
     return late, float(alike[k])
+
+
+def _correlated(flight: Flight, angle: str, derivative: Array | None, near: float) -> Array | None:
+    """Correlation of an attitude or velocity with what a derivative turns, by lag; or nothing."""
+    step = max(1, round(TURN / flight.dt))
+    most = int(min(FARTHEST, flight.t[-1] / 4) / flight.dt)
+    if derivative is None or most - int(near / flight.dt) < 1:
+        return None
+    moves = derivative - derivative.mean()
+    turned = np.cumsum(moves) - moves / 2
+    x, y = (z[step:] - z[:-step] for z in (flight.values[angle], turned))
+    if x.std() < COARSE * least_step(flight.values[angle]):
+        return None  # it follows its own steps, not what the rate turns
+    return correlations(x - x.mean(), y - y.mean(), most)

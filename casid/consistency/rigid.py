@@ -28,6 +28,11 @@ Moved = Mapping[str, tuple[Array, Array]]  # channels and their slopes
 Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
 
 
+def spoiled(equation: str, odd: Collection[str]) -> bool:
+    """Whether an equation needs one of the attitudes and velocities that are odd."""
+    return not NEEDED[equation].isdisjoint(odd)
+
+
 def terms_of(equation: str, flight: Flight, turned: Mapping[str, Array] | None = None) -> Terms:
     """Factor of each rate and force in the derivative of an attitude or velocity; the rest.
 

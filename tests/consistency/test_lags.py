@@ -124,3 +124,36 @@ def test_velocities_of_a_clock_far_off_are_told(late):
     assert {said.split()[0] for said in remarks} <= {*SPEEDS}
     for said in remarks:
         assert float(said.split("first, ")[1].split(" s")[0]) == pytest.approx(-late, abs=0.05)
+
+
+def exchanged(record, one, other):
+    """The record with two of its outputs under each other's name."""
+    i, j = (record.outputs.index(name) for name in (one, other))
+    y = record.y.copy()
+    y[:, [i, j]] = y[:, [j, i]]
+    return replace(record, y=y)
+
+
+@pytest.mark.parametrize(
+    ("names", "turned"),
+    [
+        (("phi", "theta"), {"phi": "q", "theta": "p"}),
+        (("p", "q"), {"phi": "q", "theta": "p"}),
+        (("p", "r"), {"phi": "r"}),
+    ],
+)
+def test_axes_that_are_exchanged_are_no_clocks(names, turned):
+    records = uh60.sweeps(seed=3)
+    assert not [x for x in kinematic_check(records).remarks if "goes with" in x]
+    remarks = kinematic_check([exchanged(record, *names) for record in records]).remarks
+    assert [x.split(" turns")[0] for x in remarks] == [
+        f"{angle} goes with what {rate}" for angle, rate in turned.items()
+    ]
+    assert all("look at the axes of both" in x for x in remarks)
+
+
+@pytest.mark.parametrize(("seed", "names"), [(4, ("v", "w")), (5, ("v", "w")), (1, ("u", "v"))])
+def test_velocities_that_are_exchanged_are_neither_late_nor_scales(seed, names):
+    remarks = kinematic_check([exchanged(record, *names) for record in flown(seed)]).remarks
+    assert [x for x in remarks if "does not follow from the other channels" in x]
+    assert not [x for x in remarks if "time stamps" in x or "scale factors" in x]
