@@ -33,6 +33,7 @@ DRAWS = 100  # of what a structure misses
 FAR = 4.0  # standard deviations of readings that belong elsewhere
 OFTEN = 0.05  # of the draws, for which a remark says so
 NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
+EQUAL = 1e-4  # distance of poles, relative to them, that is that of rounding in a multiple one
 SAME = np.e - 1  # share of a pole within which a black box's is the same mode
 SAMPLES = 1000  # of poles that may: a standard deviation is known to 2 %
 
@@ -254,18 +255,25 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
 def _beside(poles: ComplexArray, error: StructureError) -> Array:
     """How far modes of the black box are from poles (n,), beyond their noise, (4, n).
 
-    In `pole_figures`; zero where none is near. A square of noise varies by √2 of its mean.
+    In `pole_figures`; zero where none is near. A square of noise varies by √2 of its mean. Of equal
+    poles the box's are those of one that any noise splits far: their mean stands for each.
     """
     apart = np.abs(poles[:, None] - error.poles) / np.maximum(np.abs(poles), 1e-300)[:, None]
     mine, its = scipy.optimize.linear_sum_assignment(np.minimum(apart, SAME))
     near = apart[mine, its] < SAME
-    mine, its = mine[near], its[near]
-    own = pole_figures(error.poles[its])
-    steps = np.array([[1], [1j]]) * error.pole_std[:, its]
-    noise = sum((pole_figures(error.poles[its] + step) - own) ** 2 for step in steps)
+    equal = np.abs(poles[:, None] - poles) <= EQUAL * np.abs(poles)
+    share = equal[:, mine[near]].astype(float)
+    there = share.any(axis=1)
+    share = share[there] / share[there].sum(axis=1, keepdims=True)
+    boxes, steps = share @ error.poles[its[near]], error.pole_std[:, its[near]] @ share.T
+    paired = (equal.sum(axis=1) > 1) & (poles.imag == 0)  # two real ones, told as one of a pair
+    boxes = np.where(paired[there], boxes.real, boxes)
+    own, theirs = pole_figures(boxes), pole_figures(poles[there])
+    noise = sum((pole_figures(boxes + step) - own) ** 2 for step in (steps[0], 1j * steps[1]))
     off = np.zeros((4, len(poles)))
-    beyond = (pole_figures(poles[mine]) - own) ** 2 - noise
-    off[:, mine] = np.sqrt(missed_square(beyond, np.sqrt(2) * noise, error.sure))
+    off[:, there] = np.sqrt(
+        missed_square((theirs - own) ** 2 - noise, np.sqrt(2) * noise, error.sure)
+    )
     return off
 
 

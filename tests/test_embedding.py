@@ -199,6 +199,38 @@ def test_modes_are_as_uncertain_as_they_are_off_those_of_the_black_box():
     np.testing.assert_allclose(beside(-size, 1.1 * size, sure=1.0)[1], np.sqrt(above), rtol=1e-6)
 
 
+class Lags(Model):
+    """Two actuators of one time constant: a pole counted twice."""
+
+    states, inputs, outputs = ("a", "b"), ("lat", "ped"), ("a", "b")
+    T: Scalar = parameter(default=0.2, lower=0.05, upper=1.0, unit="s")
+
+    def A(self) -> Rows:
+        return [[-1 / self.T, 0], [0, -1 / self.T]]
+
+    def B(self) -> Rows:
+        return [[1 / self.T, 0], [0, 1 / self.T]]
+
+
+def test_equal_poles_are_compared_with_the_mean_of_those_that_noise_split():
+    t, rng = 0.02 * np.arange(500), np.random.default_rng(3)
+    u = np.sign(np.stack([np.sin(1.3 * t), np.sin(0.9 * t + 1)], axis=1))
+    y = Lags().system().simulate(t, u) + 0.05 * rng.standard_normal((500, 2))
+    fit = output_error(Lags(), [Record(t, u, y, Lags.inputs, Lags.outputs, "lags")])
+    alone = mode_bands(fit)
+    pole = alone[0].mode.pole
+    assert [band.mode.pole for band in alone] == pytest.approx([pole, pole])
+    names = {"inputs": Lags.inputs, "outputs": Lags.outputs, "free_names": ("T",)}
+    none = replace(error("true"), covariance=np.zeros((1, 1)), sure=0.0, **names)
+    for split in ([1, -1], [1j]):  # two real ones, or a pair, told by one of it
+        for away, more in ((0.0, 0.0), (-0.8, 0.8**2 - 0.1**2)):
+            poles = pole + away + np.array(split)
+            other = replace(none, poles=poles, pole_std=np.full((2, len(split)), 0.1))
+            for band, plain in zip(mode_bands(fit, error=other), alone, strict=True):
+                assert band.real_std**2 - plain.real_std**2 == pytest.approx(more, abs=1e-9)
+                assert band.imag_std == pytest.approx(plain.imag_std)
+
+
 class RollYaw(Model):
     """Roll and yaw rates, and no actuators."""
 
