@@ -31,7 +31,8 @@ STATUS = {  # IPOPT's word, what it means and what to do
     "Restoration_Failed": "no feasible step found; start nearer, or check the scale of the "
     "parameters",
     "Search_Direction_Becomes_Too_Small": "no further progress at this precision; loosen tolerance",
-    "Diverging_Iterates": "the iterates diverge; bound the parameters",
+    "Diverging_Iterates": "the iterates diverge; bound the parameters, or look for a bound or a "
+    "unit that excludes the solution",
     "Invalid_Number_Detected": "the model gave NaN or infinity; check its formulas at the bounds",
     "User_Requested_Stop": "stopped by the caller",
     "NonIpopt_Exception_Thrown": "evaluating the model failed; see the log",
