@@ -69,9 +69,9 @@ def judged(
 ) -> ChannelCheck:
     """What one channel is, of instruments found, and what is wrong with it.
 
-    It moves by ``spread``; of equations that are ``poor`` the first, rough ones, say less, and no
-    scale and skew is told by those that need one of the others, which do not follow; ``labels`` are
-    the records'.
+    It moves by ``spread``; of equations that are ``poor`` the first, rough ones, say less, and
+    those that need one of the others, which do not follow, tell no skew and no scale but of known
+    mistakes; ``labels`` are the records'.
     """
     i = solution.channels.index(name)
     gain, skew = map(float, solution.unknowns[i])
@@ -124,14 +124,17 @@ def _remarks(
     said = []
     others = " and ".join(check.against)
     factor = 1 + check.scale
-    if abs(check.scale) > max(tolerance, SIGNIFICANT * check.scale_error):
-        why = signs.of(check.channel) or mistake(factor) or "look at the scale factors of both"
-        said.append(
-            f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what "
-            f"{_implied(check.against)}: {why}"
-        )
+    holds = bool(np.isfinite(tolerance))  # else only what a known mistake explains
+    if abs(check.scale) > max(tolerance if holds else ROUGH, SIGNIFICANT * check.scale_error):
+        why = signs.of(check.channel) or mistake(factor)
+        why = why or "look at the scale factors of both" * holds
+        if why:
+            said.append(
+                f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what "
+                f"{_implied(check.against)}: {why}"
+            )
     late, error = apart.left[check.channel]
-    if np.isfinite(tolerance) and significant(late, error):
+    if holds and significant(late, error):
         moved = ", once these have moved" if {*check.against} & {*apart.names} else ""
         said.append(
             f"{check.channel} is {abs(late):.3g} ± {error:.1g} s {'late' if late > 0 else 'early'} "
