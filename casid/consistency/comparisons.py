@@ -62,16 +62,17 @@ def judged(
     solution: Instruments,
     name: str,
     spread: float,
-    poor: tuple[Collection[str], Collection[str]],
+    rough: set[str],
+    odd: Collection[str],
     labels: Collection[str],
     apart: Apart,
     signs: Signs,
 ) -> ChannelCheck:
     """What one channel is, of instruments found, and what is wrong with it.
 
-    It moves by ``spread``; of equations that are ``poor`` the first, rough ones, say less, and
-    those that need one of the others, which do not follow, tell no skew and no scale but of known
-    mistakes; ``labels`` are the records'.
+    It moves by ``spread``; equations that are ``rough`` say less, and those that need something
+    ``odd``, which does not follow, tell no skew and no scale but of known mistakes; ``labels`` are
+    the records'.
     """
     i = solution.channels.index(name)
     gain, skew = map(float, solution.unknowns[i])
@@ -100,10 +101,8 @@ def judged(
     )
     if limit:
         return replace(check, remarks=(limit.told(name, UNITS[name], OWN[name]),))
-    rough, odd = poor
-    tolerance = ROUGH if {*rough} & {*against} else SCALE
-    if any(spoiled(name, odd) for name in against):
-        tolerance = np.inf
+    holds = not any(spoiled(equation, odd) for equation in against)
+    tolerance = ROUGH if rough & set(against) or not holds else SCALE
     if ended:
         said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "
         return replace(check, remarks=(f"{said}look at the clocks of both",))
@@ -111,7 +110,7 @@ def judged(
         turned = name in reversed_channels(solution)
         said = f"{name} has the opposite sign of what {_implied(against)}; no scale is told"
         return replace(check, remarks=(said,) if turned else ())
-    return replace(check, remarks=_remarks(check, tolerance, spread, apart, signs))
+    return replace(check, remarks=_remarks(check, tolerance, spread, apart, signs, holds=holds))
 
 
 def _implied(against: Sequence[str]) -> str:
@@ -119,20 +118,24 @@ def _implied(against: Sequence[str]) -> str:
 
 
 def _remarks(
-    check: ChannelCheck, tolerance: float, spread: float, apart: Apart, signs: Signs
+    check: ChannelCheck,
+    tolerance: float,
+    spread: float,
+    apart: Apart,
+    signs: Signs,
+    *,
+    holds: bool,
 ) -> tuple[str, ...]:
     said = []
     others = " and ".join(check.against)
     factor = 1 + check.scale
-    holds = bool(np.isfinite(tolerance))  # else only what a known mistake explains
-    if abs(check.scale) > max(tolerance if holds else ROUGH, SIGNIFICANT * check.scale_error):
-        why = signs.of(check.channel) or mistake(factor)
-        why = why or "look at the scale factors of both" * holds
-        if why:
-            said.append(
-                f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what "
-                f"{_implied(check.against)}: {why}"
-            )
+    known = signs.of(check.channel) or mistake(factor)
+    large = abs(check.scale) > max(tolerance, SIGNIFICANT * check.scale_error)
+    if large and (holds or known):
+        said.append(
+            f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what "
+            f"{_implied(check.against)}: {known or 'look at the scale factors of both'}"
+        )
     late, error = apart.left[check.channel]
     if holds and significant(late, error):
         moved = ", once these have moved" if {*check.against} & {*apart.names} else ""

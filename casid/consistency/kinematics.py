@@ -226,7 +226,7 @@ def _reconstructed(
     level = _about_zero(flights, "theta", LEVEL)
     rough = {name for name in equations if level or not WHOLE[name] <= names}
     checks = tuple(
-        judged(solution, n, spread[n], (rough, odd), labels.values(), apart, signs)
+        judged(solution, n, spread[n], rough, odd, labels.values(), apart, signs)
         for n in solution.channels
     )
     untold = [

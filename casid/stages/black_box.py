@@ -22,7 +22,7 @@ from casid.tables import placed
 
 
 def _run(settings: Pbsid, task: Task) -> BlackBox:
-    found = _judged(settings.fit(task.records), task)
+    found = _fitted(settings, task)
     if found.system.dt is None or settings.transform is not None:
         return found
     # A structure is compared with the continuous equivalent, which a black box of samples, chosen
@@ -34,12 +34,13 @@ def _run(settings: Pbsid, task: Task) -> BlackBox:
             f"the black box of samples predicts these records best, but {error}; that of Laguerre "
             'projections is taken ([pbsid] transform = "laguerre" says so from the start)'
         )
-        return _judged(replace(settings, transform="laguerre").fit(task.records), task)
+        return _fitted(replace(settings, transform="laguerre"), task)
     return found
 
 
-def _judged(found: BlackBox, task: Task) -> BlackBox:
+def _fitted(settings: Pbsid, task: Task) -> BlackBox:
     """The black box, its excitation judged with the direct terms that the structure has."""
+    found = settings.fit(task.records)
     if isinstance(task.model, NonlinearModel) or not found.feedthrough.all():
         return found
     rows = task.model.system().D.any(axis=1)

@@ -18,6 +18,7 @@ from casid import (
     bootstrap,
     parameter,
 )
+from casid.bounds import resampling
 from casid.bounds.draws import BlockDraw
 
 A, NOISE, SPREAD, T = -0.5, 0.15, 0.1, 0.05 * np.arange(20)
@@ -83,6 +84,24 @@ def decays(seed):
         Record(T, u[k][:, None], y[k][:, None], ("u",), ("x",), f"{k}", hold="zoh")
         for k in range(4)
     ]
+
+
+def test_what_is_drawn_begins_as_is_known(monkeypatch):
+    by = OutputError(initial={"x": (1.0, SPREAD)}, biases=False)
+    records = decays(0)
+    fit = by.fit(Decay(), records)
+    monkeypatch.setattr(resampling, "_ensemble", lambda _, draws, *more: draws)  # noqa: ARG005
+    draws = bootstrap(fit, records, runs=400, block=0.1, estimator=by)
+    begun = np.array(fit.initial_states)[:, 0]
+    flat = [
+        replace(record, y=x * np.exp(fit["a"].value * T)[:, None])
+        for record, x in zip(records, begun, strict=True)
+    ]
+    silent = tuple(np.zeros((20, 1)) for _ in records)
+    y = np.array([[r.y[:, 0] for r in replace(each, residuals=silent)(flat)] for each in draws])
+    np.testing.assert_allclose(y, y[..., :1] * np.exp(fit["a"].value * T), rtol=1e-9)
+    assert np.abs(y[..., 0].mean(axis=0) - 1).max() < 4 * SPREAD / np.sqrt(400)
+    np.testing.assert_allclose(y[..., 0].std(axis=0), SPREAD, rtol=4 / np.sqrt(800))
 
 
 def test_initial_states_are_drawn_about_what_is_known_of_them():

@@ -152,6 +152,17 @@ def test_axes_that_are_exchanged_are_no_clocks(names, turned):
     assert all("look at the axes of both" in x for x in remarks)
 
 
+def test_a_rate_that_is_like_the_own_one_does_not_hide_a_clock():
+    whole = flight(0, None, NOISE, (*RATES, "phi", "theta"))
+    y = whole.y.copy()
+    y[:, whole.outputs.index("r")] = 0.5 * whole.channel("p")
+    whole = replace(whole, y=y)
+    angles = whole.select((), ("phi", "theta"))
+    remarks = kinematic_check(whole.select(outputs=RATES).join(angles, clock=3.0)).remarks
+    assert [said.split()[:2] for said in remarks] == [["phi", "comes"], ["theta", "comes"]]
+    assert float(remarks[0].split()[2]) == pytest.approx(3.0, abs=0.02)
+
+
 @pytest.mark.parametrize(("seed", "names"), [(4, ("v", "w")), (5, ("v", "w")), (1, ("u", "v"))])
 def test_velocities_that_are_exchanged_are_neither_late_nor_scales(seed, names):
     remarks = kinematic_check([exchanged(record, *names) for record in flown(seed)]).remarks
