@@ -1,7 +1,7 @@
 """Records of a log: all channels at equal intervals on one clock, and how late topics are."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +14,11 @@ from casid.samples import Between, at_instants, jumps, unwrapped
 from casid.studies.preparation import with_inputs
 
 FASTEST = 0.01  # s, the shortest interval that is chosen
+STEPPED = 0.005  # s, the same where inputs move by steps, whose corners a filter would round
 SLOWER = 1.5  # intervals: what is sampled more slowly is empty between its samples
 ROUGHLY = 0.01  # of an interval: intervals nearer to each other are the same
+ALIGNED = 0.1  # of an interval: samples of a slower or apart clock nearer to a record's are on it
+MOSTLY = 0.95  # of the samples of a clock that is on the record's
 APART = 1.0  # s without the inputs that end a record
 LATE = 0.5  # s, the largest delay looked for
 LONGEST = 60.0  # s of a log that are compared for delays
@@ -33,10 +36,18 @@ class Lateness:
 
 
 def usual_dt(inputs: Mapping[str, Source], outputs: Mapping[str, Source]) -> float:
-    """The interval [s] that inputs and rates allow, rounded; never less than 10 ms."""
-    wanted = [*inputs.values(), *(outputs[name] for name in ("p", "q", "r") if name in outputs)]
-    slowest = max(source.topic.interval for source in wanted)
-    return max(FASTEST, float(f"{slowest:.2g}"))
+    """The interval [s] that inputs and rates allow, rounded; never less than 10 ms.
+
+    A held input is known at all times: where all are, the rates decide, down to 5 ms, among the
+    intervals that divide that of the inputs.
+    """
+    rates = max(outputs[name].topic.interval for name in ("p", "q", "r") if name in outputs)
+    slowest = max(source.topic.interval for source in inputs.values())
+    fastest = min(source.topic.interval for source in inputs.values())
+    wanted = max(rates, STEPPED) * (1 - ROUGHLY)
+    if fastest > wanted and all(map(in_steps, inputs.values())):
+        return float(f"{fastest / int(fastest / wanted):.2g}")
+    return max(FASTEST, float(f"{max(slowest, rates):.2g}"))
 
 
 def in_steps(source: Source) -> bool:
@@ -47,13 +58,24 @@ def in_steps(source: Source) -> bool:
 def hold_of(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> Hold:
     """What the inputs of records every ``dt`` [s] do between samples.
 
-    They are held where all move by steps and every one keeps its own samples; a filter for slower
-    records, or a faster channel, makes lines of them.
+    They are held where all move by steps at instants of the record; a filter for slower records, or
+    steps between its instants, make lines of them.
     """
-    own = all(abs(source.topic.interval - dt) < ROUGHLY * dt for source in inputs.values())
+    start = max(float(source.topic.t[0]) for source in inputs.values())
     faster = min(source.topic.interval for source in (*inputs.values(), *outputs.values()))
-    kept = own and faster > (1 - ROUGHLY) * dt
-    return "zoh" if kept and all(map(in_steps, inputs.values())) else "foh"
+    same = faster > (1 - ROUGHLY) * dt
+    on = all(
+        (same and abs(source.topic.interval - dt) < ROUGHLY * dt) or _on(source, start, dt)
+        for source in inputs.values()
+    )
+    return "zoh" if on and all(map(in_steps, inputs.values())) else "foh"
+
+
+def _on(source: Source, start: float, dt: float) -> bool:
+    """Whether a channel's samples are at instants of a record that begins at ``start``."""
+    places = (source.topic.t - start) / dt
+    near = np.abs(places - np.round(places)) < ALIGNED
+    return source.topic.interval > (1 - ROUGHLY) * dt and bool(near.mean() > MOSTLY)
 
 
 def hold_told(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> list[str]:
@@ -79,8 +101,8 @@ def assemble(
     """Records of a log's channels every ``dt`` [s], one a stretch in which inputs were logged.
 
     Outputs stand at the instants their samples were taken, inputs at those they were sent. Faster
-    channels pass one filter, slower ones are empty between their samples. Where the filter makes
-    lines of an input that is held, these run through the middles of its steps.
+    channels pass one filter, but for inputs that stay held; slower outputs are empty between their
+    samples. Where lines are made of an input that is held, they run through means of its steps.
     """
     clocks = {id(source.topic): source.topic for source in inputs.values()}
     start = max(float(topic.t[0]) for topic in clocks.values())
@@ -120,18 +142,46 @@ def _records(
         near = (own >= span[0] - APART) & (own <= span[1] + APART)
         x = source.values[near]
         x = continuous(x) if channel in ("phi", "psi") else x
-        if channel in inputs and hold == "foh" and in_steps(source):
-            late = -source.topic.interval / 2  # below Nyquist's frequency steps are lines, later
         how: Between = hold if channel in inputs else "smooth"
-        columns.append(at_instants(own[near] - late, x, t, how) if near.sum() > 3 else np.nan * t)
+        if near.sum() <= 3:
+            columns.append(np.nan * t)
+        elif channel in inputs and hold == "foh" and in_steps(source):
+            columns.append(_means(own[near], x, t, step))
+        else:
+            columns.append(at_instants(own[near] - late, x, t, how))
     whole = Record(t, np.zeros((len(t), 0)), np.column_stack(columns), (), tuple(every), name, hold)
     if not np.isfinite(whole.y[:, : len(inputs)]).all(axis=1).sum() >= FEWEST:
         return []
     even = whole.resample(dt) if step < dt else whole
+    if step < dt and hold == "zoh":
+        held = [_picked(source, even.t, dt) for source in inputs.values()]
+        even = replace(even, hold=hold, y=np.column_stack([*held, even.y[:, len(inputs) :]]))
     empty = np.column_stack([_between(source, even.t, dt) for source in every.values()])
     empty[:, : len(inputs)] = False
     parts = with_inputs(even.mask(empty), tuple(inputs)).stretches()
     return [part for part in parts if np.isfinite(part.y).any()]
+
+
+def _means(t: Array, x: Array, instants: Array, width: float) -> Array:
+    """Means about instants (M,), ``width`` [s] wide, of a signal held from one sample to the next.
+
+    Its steps are neither early nor late then, wherever they lie between the instants.
+    """
+    t, x = t[np.isfinite(x)], x[np.isfinite(x)]
+    if len(t) < FEWEST:
+        return np.full(len(instants), np.nan)
+    ends = np.array([t[0] - width, *t, t[-1] + width])
+    area = np.append(0.0, np.cumsum(np.append(x[0], x) * np.diff(ends)))
+    later, earlier = (np.interp(instants + side * width / 2, ends, area) for side in (1, -1))
+    lost = np.isnan(at_instants(t, x, instants, "zoh"))
+    return np.where(lost, np.nan, (later - earlier) / width)
+
+
+def _picked(source: Source, instants: Array, dt: float) -> Array:
+    """A held input at instants (M,) of the record, each of its samples at the nearest of them."""
+    nearest = instants[0] + dt * np.round((source.topic.t - instants[0]) / dt)
+    kept = np.flatnonzero(np.diff(nearest, append=np.inf) > dt / 2)  # the later of two at one
+    return at_instants(nearest[kept], source.values[kept], instants, "zoh")
 
 
 def _between(source: Source, t: Array, dt: float) -> BoolArray:

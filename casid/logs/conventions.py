@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import ATTITUDES, FORCES, MEASURES, RATES, UNITS, VELOCITIES, factor_of
+from casid.channels import (
+    ATTITUDES,
+    FORCES,
+    MEASURES,
+    PULSES,
+    RATES,
+    UNITS,
+    VELOCITIES,
+    factor_of,
+)
 from casid.logs.topics import SI_OF, SPELT, Log, Topic
 from casid.samples import at_instants
 
@@ -206,12 +215,22 @@ def into_body(speeds: Sequence[Array], angles: Sequence[Array]) -> list[Array]:
 
 
 def with_units(sources: Mapping[str, Source], stated: Mapping[str, str]) -> dict[str, Source]:
-    """Sources by channel, those of which the user states the unit read by that."""
+    """Sources by channel, those of which the user states the unit read by that.
+
+    An input in µs is one of pulses whether the user says so or the log: no command is a time.
+    """
     found = dict(sources)
-    for name in stated.keys() & sources.keys():
-        source = sources[name]
-        unit = SPELT.get(stated[name], stated[name])
-        factor = factor_of(name, unit) / SI_OF.get(source.unit or "", 1.0)
+    pulses = {
+        name: each.unit
+        for name, each in sources.items()
+        if name not in OUTPUTS and each.unit in PULSES
+    }
+    for name, said in (pulses | dict(stated)).items():
+        if (source := sources.get(name)) is None:
+            continue
+        unit = SPELT.get(said, said)
+        meant = "pwm" if name not in OUTPUTS and unit in PULSES else unit
+        factor = factor_of(name, meant) / SI_OF.get(source.unit or "", 1.0)
         found[name] = replace(source, values=factor * source.values, unit=unit)
     return found
 
@@ -226,10 +245,7 @@ def check_units(path: Path, sources: Mapping[str, Source]) -> list[str]:
         if source.unit is None:
             continue
         if name not in OUTPUTS:
-            if source.unit == "":
-                said.append(f"unit of {name} not stated: taken as it is")
-            elif source.unit not in SI_OF:
-                said.append(f"unit of {name}, {source.unit!r}, is not known: taken as it is")
+            said += _of_input(name, source.unit)
         elif source.unit == "":
             said.append(f"unit of {name} not stated: taken as {UNITS[name]}")
         elif SPELT.get(source.unit, source.unit) not in (known := MEASURES[UNITS[name]]):
@@ -239,3 +255,12 @@ def check_units(path: Path, sources: Mapping[str, Source]) -> list[str]:
                 f"(units={{{name!r}: ...}}), or convert the column"
             )
     return said
+
+
+def _of_input(name: str, unit: str) -> list[str]:
+    """What is taken of an input whose unit is not one of a travel, an angle or the like."""
+    if unit == "":
+        return [f"unit of {name} not stated: taken as it is"]
+    if unit in PULSES:
+        return [f"{name} is in {unit}: pulses, of which 1000 are one of the record"]
+    return [] if unit in SI_OF else [f"unit of {name}, {unit!r}, is not known: taken as it is"]

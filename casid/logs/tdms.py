@@ -17,6 +17,16 @@ from casid.logs.topics import Bounded, Topic, make_topic, printable
 
 MAGIC = b"TDSm"
 TIMES = {"t", "time", "time [s]", "time_s", "timestamp", "timestamps", "seconds"}  # of columns
+SPELT = {  # units of time, as they are written beside those that casid knows
+    "": 1.0,
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("msec", "msecs", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("usec", "µsec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("nsec", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hr", "hour", "hours"), 3600.0),
+}
+SECONDS = MEASURES["s"] | SPELT
 STEP, START, BEGUN = "wf_increment", "wf_start_offset", "wf_start_time"  # of a waveform
 UNSET = np.datetime64("1904-01-02")  # LabVIEW's zero, as of clocks that nobody has set
 SECOND = np.timedelta64(1, "s")
@@ -47,6 +57,12 @@ def read_tdms(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[
             topics += found
             if without:
                 notes.append(f"group {name!r}: no time is known of {', '.join(without)}")
+            notes += [
+                f"group {name!r}: {printable(each.name)} is in {printable(_unit(each))!r}, no unit "
+                "of time that is known: taken as seconds"
+                for each in _clocks(channels).values()
+                if np.dtype(each.dtype).kind != "M" and _unit(each).lower() not in SECONDS
+            ]
     return iter(topics), tuple(notes)
 
 
@@ -78,8 +94,7 @@ def _group(
     What has a date counts from the epoch, the first of the whole file.
     """
     clocks: dict[tuple[Any, ...], tuple[Array, list[Any]]] = {}
-    stamped = {len(each): each for each in channels if each.name.strip().lower() in TIMES}
-    without = []
+    stamped, without = _clocks(channels), []
     for each in channels:
         step = each.properties.get(STEP)
         if isinstance(step, float) and 0 < step < np.inf:
@@ -103,12 +118,17 @@ def _group(
     return topics, without
 
 
+def _clocks(channels: Sequence[Any]) -> dict[int, Any]:
+    """Columns of instants, by their length."""
+    return {len(each): each for each in channels if each.name.strip().lower() in TIMES}
+
+
 def _seconds(channel: Any, epoch: np.datetime64 | None) -> Array:  # noqa: ANN401
     """A column of instants [s], of numbers in the unit that it names."""
     values = channel[:]
     if values.dtype.kind == "M":
         return np.asarray((values - epoch) / SECOND, dtype=float)
-    return np.asarray(values, dtype=float) * MEASURES["s"].get(_unit(channel).lower(), 1.0)
+    return np.asarray(values, dtype=float) * SECONDS.get(_unit(channel).lower(), 1.0)
 
 
 def _unit(channel: Any) -> str:  # noqa: ANN401

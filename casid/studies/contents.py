@@ -77,6 +77,7 @@ def _settings(study: Study) -> dict[str, str]:
     said |= _written("model", study.model, type(study.model)())
     said["equations"] = f"as the structure builds them, SHA-256 {equations_digest(study.model)}"
     said |= _of_channels(study.channels)
+    said |= _second_files(study)
     if study.noise is not None:
         std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
         said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
@@ -107,6 +108,18 @@ def _of_channels(channels: ChannelSettings) -> dict[str, str]:
     said["channels.hold"] = channels.hold or "foh, as nothing else is stated"
     said |= channels.mending.told()
     return said | ({} if channels.second is None else {"channels.join": channels.second.told()})
+
+
+def _second_files(study: Study) -> dict[str, str]:
+    """Digests of the files that a second logger wrote beside those of the records."""
+    if (second := study.channels.second) is None:
+        return {}
+    files = (second.beside(file) for each in study.roles.values() for file in each.files)
+    digests = (
+        f"{os.path.relpath(file, study.path.parent)} {sha256(file.read_bytes()).hexdigest()}"
+        for file in dict.fromkeys(files)
+    )
+    return {"channels.join.files": f"SHA-256 {'; '.join(digests)}"}
 
 
 def _written(place: str, value: Any, default: Any) -> dict[str, str]:  # noqa: ANN401 - any settings

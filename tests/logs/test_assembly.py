@@ -119,6 +119,56 @@ def test_delays_from_commands_in_steps_are_those_of_held_values(interval, hold):
     assert tau[np.argmin(errors)] == pytest.approx(0.08, abs=0.0006)
 
 
+def slow(every, seconds=40.0, apart=0.0):
+    """A lag of 80 ms driven by commands held for a while, seen 200 times a second; truth, channels.
+
+    The commands' clock is off by ``apart`` intervals of the commands, at random.
+    """
+    fine, rng = 0.0005, np.random.default_rng(1)
+    t = np.arange(0, seconds, fine)
+    at = np.arange(0, seconds, every)
+    at[1:] += every * apart * rng.uniform(-1, 1, len(at) - 1)
+    at = fine * np.round(at / fine)
+    commands = np.sign(np.sin(0.9 * at + 0.01 * at**2)) + 0.002 * rng.standard_normal(len(at))
+    u = commands[np.searchsorted(at, t + fine / 2) - 1]
+    truth = StateSpace(*([[x]] for x in (-4.0, 5.0, 1.0, 0.0)), delay=[0.08])
+    y = truth.simulate(t, u[:, None], hold="zoh")[:, 0]
+    inputs, outputs = {"u": source(at, commands, "C")}, {"p": source(t[::10], y[::10], "M")}
+    return truth, inputs, outputs, (t, u)
+
+
+@pytest.mark.parametrize("every", [0.01, 0.02, 0.04])
+def test_commands_slower_than_the_gyros_stay_held(every):
+    truth, inputs, outputs, _ = slow(every)
+    dt = usual_dt(inputs, outputs)
+    assert dt == 0.005
+    (record,) = assemble(inputs, outputs, dt, "flight")
+    assert record.hold == "zoh"
+    wanted = truth.simulate(record.t, record.u, hold="zoh")
+    np.testing.assert_allclose(record.y, wanted, atol=1e-9)
+    (record,) = assemble(inputs, outputs, 0.01, "flight")  # the outputs filtered, the steps not
+    assert record.hold == "zoh"
+    own, held = inputs["u"].topic.t, inputs["u"].values
+    np.testing.assert_array_equal(record.u[:, 0], held[np.searchsorted(own, record.t + 1e-9) - 1])
+    wanted = truth.simulate(record.t, record.u, hold="zoh")
+    np.testing.assert_allclose(record.y, wanted, atol=0.02 * np.std(wanted))
+
+
+def test_commands_held_on_a_clock_of_their_own_have_the_area_of_their_steps():
+    truth, inputs, outputs, (t, u) = slow(0.04, apart=0.2)
+    assert usual_dt(inputs, outputs) == pytest.approx(0.005, rel=0.1)
+    (record,) = assemble(inputs, outputs, 0.005, "flight")
+    assert record.hold == "foh"
+    area = np.interp(record.t + record.dt / 2, t, 0.0005 * (np.cumsum(u) - u))
+    own = np.cumsum(record.u[:, 0]) * record.dt
+    np.testing.assert_allclose(own - own[0], area - area[0], atol=1e-9)
+    wanted = truth.simulate(record.t, record.u, hold="foh")
+    assert np.std(record.y - wanted) < 0.004 * np.std(wanted)
+    tau = np.linspace(0.078, 0.082, 41)
+    errors = [np.sum((_lag(truth, record, each) - record.y[:, 0])[200:] ** 2) for each in tau]
+    assert tau[np.argmin(errors)] == pytest.approx(0.08, abs=0.0003)
+
+
 def _lag(truth, record, tau):
     model = replace(truth, delay=np.array([tau]))
     return model.simulate(record.t, record.u, hold=record.hold)[:, 0]

@@ -120,6 +120,16 @@ def test_what_the_user_states_is_taken_for_what_the_log_says():
     np.testing.assert_allclose(found["q"].values, np.degrees([1.0, 2.0]))  # as it stood there
 
 
+@pytest.mark.parametrize("name", ["lat", "throttle"])
+@pytest.mark.parametrize("stated", [{}, {"lat": "us", "throttle": "µs"}, {"lat": "pwm"}])
+def test_commands_in_microseconds_are_pulses_whoever_says_so(name, stated):
+    logged = source("us", (1500e-6, 1900e-6))  # as a time, which the log's word alone makes of them
+    found = with_units({name: logged}, stated)
+    np.testing.assert_allclose(found[name].values, [1.5, 1.9])
+    (said,) = check_units(PATH, with_units({name: logged}, {}))
+    assert said == f"{name} is in us: pulses, of which 1000 are one of the record"
+
+
 def test_a_unit_that_nobody_states_is_told():
     assert check_units(PATH, {"p": source("")}) == ["unit of p not stated: taken as rad/s"]
     assert check_units(PATH, {"lat": source("V")}) == [

@@ -85,3 +85,22 @@ def test_clocks_that_nobody_can_compare_are_told():
     assert note.startswith("'H', 'I' count from an instant that is not told")
     for topic in found:
         np.testing.assert_allclose(topic.t, 0.1 * np.arange(5), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "second"),
+    [("", 1), ("s", 1), ("ms", 1e3), ("msec", 1e3), ("Milliseconds", 1e3), ("min", 1 / 60)],
+)
+def test_instants_are_read_in_the_unit_that_they_name(unit, second):
+    clock = ("G", "time", second * 0.02 * np.arange(4), {"unit_string": unit})
+    found, notes = read_tdms(written(clock, ("G", "p", np.arange(4.0))), nptdms)
+    (topic,) = found
+    np.testing.assert_allclose(topic.t, 0.02 * np.arange(4), atol=1e-12)
+    assert notes == ()
+
+
+def test_a_unit_of_time_that_nobody_knows_is_told():
+    clock = ("G", "time", np.arange(4.0), {"unit_string": "ticks"})
+    assert read_tdms(written(clock, ("G", "p", np.arange(4.0))), nptdms)[1] == (
+        "group 'G': time is in 'ticks', no unit of time that is known: taken as seconds",
+    )

@@ -92,3 +92,17 @@ def test_settings_name_what_makes_channels_of_columns_and_what_a_model_begins_wi
     assert said["design.duration"] == "12.0"
     assert said["records.identification.trim.3211*"] == "v: 2.0"
     assert not {"channels.time", "channels.dt", "model.Llat"} & said.keys()
+
+
+def test_files_of_a_second_logger_are_told_with_their_digests(tmp_path):
+    path = write_study(tmp_path)
+    second = '[channels.join]\nfile = "{name}_nav.csv"\nchannels = ["phi"]\n'
+    path.write_text(path.read_text().replace("[records.id", f"{second}[records.id", 1))
+    for name in ("3211", "sweep", "random"):
+        (tmp_path / f"{name}_nav.csv").write_text(f"t,phi\n0,{len(name)}\n")
+    said = _settings(read_study(path))["channels.join.files"]
+    assert said.startswith("SHA-256 ")
+    for name in ("3211", "sweep", "random"):
+        held = (tmp_path / f"{name}_nav.csv").read_bytes()
+        assert f"{name}_nav.csv {sha256(held).hexdigest()}" in said
+    assert "channels.join.files" not in _settings(read_study(write_study(tmp_path)))
