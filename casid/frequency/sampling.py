@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from casid.arrays import Array, BoolArray
+from casid.arrays import Array
+from casid.autoregression import slow
 from casid.errors import warn
 from casid.excitations import excitation_if_any
 from casid.record import Record
+from casid.regridding import regridded
+from casid.samples import moved
 from casid.subspace.columns import excited_band, spectrum
 
 GRID = 40  # frequencies unless given
@@ -91,7 +94,8 @@ def checked_grid(omega: Array, records: Sequence[Record]) -> Array:
 def equidistant(record: Record, highest: float) -> Record:
     """The record on equidistant instants, by a cubic spline where it is not so already.
 
-    Inputs that are held by steps stay steps; near a missing output sample all are missing.
+    Inputs that are held by steps stay steps. An output is missing where the sample nearest to the
+    instant is; a slow one is there at the instants nearest to its own samples, as it was before.
     ``highest`` is the frequency up to which it must hold [rad/s].
     """
     if record.equidistant:
@@ -109,27 +113,14 @@ def equidistant(record: Record, highest: float) -> Record:
         u = record.u[np.searchsorted(record.t, t + 1e-9 * record.dt, side="right") - 1]
     else:
         u = scipy.interpolate.make_interp_spline(record.t, record.u, k=3)(t)
-    missing = np.isnan(record.y)
-    y = np.empty((len(t), record.ny))
-    for i in range(record.ny):
-        known = ~missing[:, i]
-        if known.sum() < 4:
-            y[:, i] = np.nan
-            continue
-        y[:, i] = scipy.interpolate.make_interp_spline(record.t[known], record.y[known, i], k=3)(t)
-        y[_near(t, record.t[missing[:, i]], record.dt), i] = np.nan
-    return replace(record, t=t, u=u, y=y)
-
-
-def _near(t: Array, missing: Array, dt: float) -> BoolArray:
-    """Where an instant lies within one interval of a missing sample."""
-    if not len(missing):
-        return np.zeros(len(t), dtype=bool)
-    after = np.clip(np.searchsorted(missing, t), 0, len(missing) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.asarray(
-        np.minimum(np.abs(missing[after] - t), np.abs(missing[before] - t)) < dt, dtype=bool
-    )
+    rare = slow(np.isnan(record.y))
+    y = [
+        regridded(record.t, x, t, "smooth", record.dt)
+        if seldom
+        else moved(record.t, x, t, "smooth")
+        for x, seldom in zip(record.y.T, rare, strict=True)
+    ]
+    return replace(record, t=t, u=u, y=np.reshape(y, (record.ny, len(t))).T)
 
 
 def checked_windows(

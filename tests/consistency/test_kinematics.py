@@ -327,10 +327,17 @@ def test_a_reference_of_which_most_is_missing_is_no_absent_one():
     assert re.fullmatch(r"p was not checked: (69|70) % of phi is missing".replace(" %", "%"), note)
 
 
-def test_a_channel_sampled_less_often_than_the_others_is_judged_all_the_same():
+@pytest.mark.parametrize("spoilt", ["nothing", "a row lost", "uneven stamps"])
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_channel_sampled_less_often_than_the_others_is_judged_all_the_same(every, spoilt):
     shifted = flight(0, outputs=("p", "phi")).shift({"phi": 0.08})
-    own = np.arange(shifted.N) % 4 == 0  # a slower logger's
+    own = np.arange(shifted.N) % every == 0  # a slower logger's
     late = shifted.mask(np.array([False, True]) & ~own[:, None])
+    if spoilt == "a row lost":
+        late = late.take(np.arange(late.N) != 301)
+    elif spoilt == "uneven stamps":
+        odd = np.random.default_rng(0).uniform(-0.01, 0.01, late.N)
+        late = replace(late, t=late.t + odd * late.dt)
     check = kinematic_check(late)
     (p,) = (each for each in check.channels if each.channel == "p")
     assert p.skew == pytest.approx(-0.08, abs=4 * p.skew_error + 0.002)

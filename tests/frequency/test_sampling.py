@@ -10,7 +10,7 @@ from truths import uh60
 from truths.systems import DT, LAG, white
 
 from casid import DataWarning, Record, frequency_response
-from casid.frequency.sampling import _near, default_windows, equidistant, excited_ends
+from casid.frequency.sampling import default_windows, equidistant, excited_ends
 
 
 def test_window_lengths_follow_the_rules():
@@ -50,10 +50,57 @@ def test_between_uneven_samples_channels_are_the_cubic_spline_through_them():
     spline = scipy.interpolate.CubicSpline
     np.testing.assert_allclose(found.u, spline(t, u)(found.t), atol=1e-12)
     np.testing.assert_allclose(found.y[:, 0], spline(t, y[:, 0])(found.t), atol=1e-12)
-    known = np.arange(60) != 30  # where the other is unknown, so is what is within one interval
+    known = np.arange(60) != 30  # no values are added: none where the nearest sample is unknown
     expected = spline(t[known], y[known, 1])(found.t)
-    expected[np.abs(found.t - t[30]) < found.dt] = np.nan
+    expected[np.abs(found.t[:, None] - t).argmin(axis=1) == 30] = np.nan
     np.testing.assert_allclose(found.y[:, 1], expected, atol=1e-12)
+
+
+SPOILT = {"a row lost": 0.0, "uneven stamps": 0.2}
+
+
+@pytest.mark.parametrize("spoilt", SPOILT)
+@pytest.mark.parametrize("step", [2, 3, 4, 8])
+def test_a_slow_channel_keeps_its_own_samples_and_lacks_those_it_lost(step, spoilt):
+    rng = np.random.default_rng(3)
+    t = DT * np.arange(400.0)
+    t[1:-1] += SPOILT[spoilt] * DT * rng.uniform(-1, 1, 398)
+    rows = np.arange(400)
+    own = rows % step == 0
+    own[(rows > 100) & (rows < 100 + 5 * step)] = False  # lost
+    y = np.column_stack([np.cos(t), np.where(own, np.sin(t), np.nan)])
+    record = Record(t, rng.standard_normal((400, 1)), y, ("u",), ("fast", "slow"))
+    record = record.take(rows != 205)  # in no multiple: no sample of the slow one
+    found, dt = equidistant(record, 1.0), record.dt
+    fast, slow = found.y.T
+    np.testing.assert_allclose(fast, np.cos(found.t), atol=1e-5)
+    taken = t[own & (rows != 205)]
+    nearest = np.unique(np.round(taken / dt).astype(int))
+    nearest = nearest[nearest < found.N]
+    # One that lies beyond its sample, in the hole or after the last one, would be made up.
+    ends = taken[np.append(np.diff(taken) > 3 * step * DT, True)] + 1e-9
+    begins = taken[np.append(False, np.diff(taken) > 3 * step * DT)] - 1e-9
+    beyond = (found.t > ends[0]) & (found.t < begins[0]) | (found.t > ends[1])
+    at = np.flatnonzero(np.isfinite(slow))
+    np.testing.assert_array_equal(at, nearest[~beyond[nearest]])
+    away = np.abs(at - 100) > 6 * step  # a spline's error grows beside a hole
+    np.testing.assert_allclose(slow[at[away]], np.sin(found.t[at[away]]), atol=1e-4)
+
+
+@pytest.mark.parametrize("spoilt", SPOILT)
+def test_the_response_of_a_slow_channel_is_the_systems_whatever_the_stamps(spoilt):
+    rng = np.random.default_rng(23)
+    t = DT * np.arange(8001)
+    t[1:-1] += SPOILT[spoilt] * DT * rng.uniform(-1, 1, 7999)
+    knots = np.arange(0.0, 400.5, 0.5)
+    u = scipy.interpolate.make_interp_spline(knots, rng.standard_normal(len(knots)), k=5)(t)
+    y = LAG.simulate(t, u[:, None]) + 1e-3 * rng.standard_normal((8001, 1))
+    y[np.arange(8001) % 4 > 0] = np.nan
+    record = Record(t, u[:, None], y, ("u",), ("y",)).take(np.arange(8001) != 4001)
+    with pytest.warns(DataWarning, match="up to 75 % of an output's samples are missing"):
+        found = frequency_response([record], omega=np.array([0.5, 1.0, 2.0]), windows=[40.0])
+    # Corners of the inputs' lines as above; the noise of a quarter of the samples, 3e-4.
+    np.testing.assert_allclose(found.G, LAG.response(found.omega), rtol=2e-3)
 
 
 def test_an_interval_too_long_for_the_highest_frequency_is_refused_with_its_place():
@@ -141,15 +188,6 @@ def test_an_output_without_samples_leaves_the_others_interpolated():
     assert lost.any()
     assert np.abs(found.t[lost] - t[30]).max() < 0.1
     np.testing.assert_allclose(found.y[~lost, 2], np.cos(found.t[~lost]), atol=1e-5)
-
-
-def test_samples_near_any_missing_one_are_marked_by_brute_force():
-    rng = np.random.default_rng(0)
-    t, missing = np.sort(rng.uniform(0, 10, 300)), np.sort(rng.uniform(0, 10, 8))
-    apart = np.abs(t[:, None] - missing).min(axis=1)
-    np.testing.assert_array_equal(_near(t, missing, 0.2), apart < 0.2)
-    first = _near(np.array([0.0, 0.1, 5.0]), np.array([0.05, 9.0]), 0.2)
-    np.testing.assert_array_equal(first, [True, True, False])
 
 
 def stabilised(low, high, noise, gain=3.0, dt=0.02):
