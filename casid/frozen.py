@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.record import Record
-from casid.repetition import quantised
+from casid.repetition import ROUNDING, quantised
 from casid.samples import runs
 
 SHORT, LONGER = 10, 4.0  # samples of a run that is looked at, and times the usual one
@@ -134,20 +134,31 @@ def _stuck_inputs(record: Record) -> Iterator[Frozen]:
 def _darts(record: Record) -> Iterator[Frozen]:
     """Where an input is off its running median, which follows what lasts, for a few samples.
 
-    One that moves about like that, as what a quick controller commands, may do so.
+    One that moves about like that, as what a quick controller commands, may do so, and so may one
+    that is counted, by a few counts.
     """
     reach = int(np.clip(round(BRIEFLY / record.dt), 1, AROUND))
     for name, x in zip(record.inputs, record.u.T, strict=True):
         off = np.abs(x - scipy.ndimage.median_filter(x, 2 * reach + 1, mode="nearest"))
-        for first, last in runs(off > DART * np.ptp(x)):
+        away = off > DART * np.ptp(x)
+        count = _count(x, away)
+        for first, last in runs(away):
             beside = [x[max(first - SHORT, 0) : first], x[last : last + SHORT]]
-            quiet = max(float(np.abs(np.diff(part)).max(initial=0.0)) for part in beside)
+            moves = (float(np.abs(np.diff(part)).max(initial=0.0)) for part in beside)
+            quiet = max(count / 2, *moves)  # what moves by less than half a count is not seen
             end = min(last, record.N - 1)
             if off[first:last].min() > LEAPS * quiet and 0 < first < end:
                 start, over = record.t[[first, end]].tolist()
                 yield Frozen(
                     channel=name, start=start, duration=over - start, lost="input", dart=True
                 )
+
+
+def _count(x: Array, away: BoolArray) -> float:
+    """Smallest move of a channel (N,) but into and out of darts: a count, or next to nothing."""
+    moves = np.abs(np.diff(x))[~(away[1:] | away[:-1])]
+    moves = moves[moves > ROUNDING * np.abs(x).max()]
+    return float(moves.min()) if len(moves) else 0.0
 
 
 def _breaks(x: Array, still: BoolArray, first: int, last: int) -> bool:

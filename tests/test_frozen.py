@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.ndimage
 from truths import bodies, uh60
 
 from casid import Record, read_csv
@@ -202,6 +203,27 @@ def test_sticks_that_are_moved_quickly_do_not_dart():
     ):
         u = record.u + more[:, None] * [0, 0.1, 0, 0]
         assert not any(each.dart for each in frozen(replace(record, u=u)))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1 / 0.7])
+def test_single_counts_of_a_counted_stick_are_no_darts_but_lost_samples_are(unit):
+    record, rng = flown(seed=5), np.random.default_rng(5)
+    x = 1500 + np.round(1.2 * np.sin(0.7 * record.t) + 0.05 * rng.standard_normal(record.N))
+    quiet = np.flatnonzero(scipy.ndimage.minimum_filter(np.diff(x, append=x[-1]) == 0, 25))
+    single = quiet[::40][1:-1]
+    x[single] -= 1  # the last bit of what a controller commands, back at once
+    assert len(single) > 3
+
+    def told(x):
+        u = np.column_stack([x * unit, *record.u.T[1:]])
+        return [each.start for each in frozen(replace(record, u=u)) if each.dart]
+
+    assert told(x) == []
+    x[quiet[50]] += 40
+    assert told(x) == [pytest.approx(record.t[quiet[50]])]
+    rest = np.full(record.N, 1500.0)  # no count is known of what moves by nothing else
+    rest[[200, 500]] = 0.0
+    assert told(rest) == [pytest.approx(record.t[200]), pytest.approx(record.t[500])]
 
 
 IMU = (*bodies.RATES, *bodies.FORCES)
