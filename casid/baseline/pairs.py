@@ -27,6 +27,12 @@ def select(
     gamma = in_channels(model, *names, frf.coherence)
     gamma = np.where(np.isfinite(gamma), gamma, 0.0)
     known = np.isfinite(G) & (np.abs(G) > 0) & (gamma > 0)  # without coherence nothing weighs
+    if not np.isfinite(G).any():
+        why = "; ".join(frf.flags) or "all are NaN"
+        raise ValueError(
+            f"no point of the measured response is known ({why}); mend the records that it was "
+            "estimated from, or ask for other frequencies"
+        )
     if pairs is None:
         used = known & (gamma >= coherence)
         used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))

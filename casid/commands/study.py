@@ -1,5 +1,6 @@
 """Commands about studies: identify, bounds, check."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from time import perf_counter
 from typing import Any
 
 import click
+import numpy as np
 from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.spinner import Spinner
@@ -16,8 +18,10 @@ from rich.text import Text
 from casid.bounds.compare import BoundsComparison
 from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
 from casid.commands.terminal import caution, exits, logged, new_table
+from casid.errors import DataWarning
 from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
+from casid.frequency.estimation import SpectralAnalysis
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.record import Record
@@ -293,12 +297,29 @@ def _describe(console: Console, study: Study) -> None:
     both = *flights["identification"], *flights.get("refinement", ())
     estimated = list({digest(each.u, each.y): each for each in both}.values())
     untold = () if again.told() else _untold(study, estimated)
-    for said in (*again.told(), *steps, *untold):
+    unread = () if again.told() else _unread(study, flights.get("frequency", ()))
+    for said in (*again.told(), *steps, *unread, *untold):
         caution(console, said)
-    if again.told():
+    if again.told() or unread:
         console.print("Mend the records first.")
     else:
         console.print("Mend the structure first." if untold else "The study is in order.")
+
+
+def _unread(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:
+    """That losses leave nothing of the frequency response, which later stages would stumble on."""
+    analysis = study.settings.get("frequency", SpectralAnalysis())
+    holed = any(np.isnan(record.y).any() or len(record.gaps()) for record in flown)
+    if not holed or analysis.reference:  # references need not be among these channels
+        return ()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataWarning)  # identify tells these with the rest
+            found = analysis.fit(flown)
+        why = "" if np.isfinite(found.G).any() else "; ".join(found.flags) or "all points are NaN"
+    except ValueError as error:
+        why = str(error)
+    return (f"Nothing of the frequency response can be had: {why}.",) if why else ()
 
 
 def _untold(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:

@@ -365,6 +365,16 @@ def test_a_response_without_coherence_is_refused():
         derivid(Roll(), response(TRUTH, coherence=0.2))
 
 
+def test_a_response_of_which_nothing_is_known_is_refused_with_its_reasons():
+    known = response(TRUTH)
+    lost = dataclasses.replace(
+        known, G=np.full_like(known.G, np.nan), flags={"losses leave too few windows": (0, 1)}
+    )
+    for pairs in (None, [("p", "lat")]):
+        with pytest.raises(ValueError, match=r"no point .* is known \(losses leave too few wind"):
+            derivid(Roll(), lost, pairs=pairs)
+
+
 def test_a_parameter_on_which_nothing_depends_is_named():
     class Idle(Model):
         states, inputs, outputs = ("p",), ("lat",), ("p",)

@@ -163,6 +163,25 @@ def test_check_tells_what_the_records_cannot_tell_of_the_structure(tmp_path):
     assert "in order" not in said
 
 
+def test_check_tells_that_losses_leave_no_frequency_response(tmp_path):
+    path = write_study(tmp_path)
+    sweeps = '[records.frequency]\nfiles = ["sweep.csv"]'
+    path.write_text(f"{path.read_text()}\n{sweeps}\n[frequency]\nomega = [7, 8, 9]\nwindows = [8]")
+    assert " ".join(casid("check", path).output.split()).endswith("The study is in order.")
+    file = tmp_path / "sweep.csv"
+    header, *rows = file.read_text().splitlines()
+    # A second lost of every two: a window lacks samples for longer than a period of 0.9 s.
+    for k, row in enumerate(rows):
+        if float(row.split(",")[0]) % 2 > 1:
+            rows[k] = row.rsplit(",", 2)[0] + ",,"
+    file.write_text("\n".join([header, *rows]) + "\n")
+    said = " ".join(casid("check", path).output.split())
+    assert (
+        "Nothing of the frequency response can be had: missing samples (NaN) in 'p' leave" in said
+    )
+    assert said.endswith("Mend the records first.")
+
+
 def copied(folder):
     """The study with a copy of a record of the identification among those of the validation."""
     path = write_study(folder, ('["random.csv"]', '["random.csv", "copy.csv"]'))
