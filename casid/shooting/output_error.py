@@ -42,13 +42,11 @@ from casid.shooting.precision import OutputErrorNotes, Precision, precision, run
 from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.stiffness import MOST
 from casid.shooting.transformed_fit import estimate
-from casid.shooting.unknowns import NoiseUnknowns
-from casid.shooting.ways import Ways
+from casid.shooting.ways import Ways, exact_outputs, warn_of_missed
 from casid.threads import one_thread
 
 Domain: TypeAlias = Literal["time", "frequency"]
 
-EXACT = 4.0  # times the least variance believed: an output predicted exactly
 MANY = 2.0  # measurements for every unknown, at least
 
 
@@ -159,7 +157,10 @@ class OutputError:
             best = _unmoved(free, str(error))
             raise ConvergenceError(f"output error: {error}", best) from error
         outcome, steps = Search(free, options, self.steps).integrated(outcome)
-        return _result(model, free, outcome, time.perf_counter() - begin, steps)
+        fit = _result(model, free, outcome, time.perf_counter() - begin, steps)
+        if not rough:
+            warn_of_missed(outcome, self.interval)
+        return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:
         """What is free of a model; ValueError, ModelError for settings that do not go with it."""
@@ -323,7 +324,7 @@ def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | Cov
 def _verdict(outcome: Outcome, found: Precision, broken: str | None) -> tuple[bool, str]:
     """Whether this is a solution, and in words."""
     reasons = []
-    if exact := _exact_outputs(outcome):
+    if exact := exact_outputs(outcome):
         reasons.append(
             f"the likelihood degenerates: {', '.join(exact)} can be predicted exactly, as without "
             "measurement noise; use output error, or give R"
@@ -335,17 +336,6 @@ def _verdict(outcome: Outcome, found: Precision, broken: str | None) -> tuple[bo
         reasons.append(uncertainty.singular(found.undetermined))
     unsettled = f"R has not settled after {outcome.rounds} rounds; give R"
     return verdict(outcome.solution, outcome.settled, unsettled, reasons, broken)
-
-
-def _exact_outputs(outcome: Outcome) -> list[str]:
-    """Outputs whose innovations a filter has shrunk to the least there is."""
-    programme, more = outcome.programme, outcome.programme.evaluator.more
-    if not isinstance(more, NoiseUnknowns) or more.given is not None:
-        return []
-    gains = programme.evaluator.gains(programme.unpack(outcome.solution.x).lam)
-    size = np.full(len(more.least), np.inf) if gains is None else np.diag(gains.S[-1])
-    names = programme.free.model.outputs
-    return [names[i] for i in np.flatnonzero(size <= EXACT * more.least)]
 
 
 def _unmoved(free: Free, status: str) -> Fit[Model, None]:

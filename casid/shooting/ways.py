@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, warn
 from casid.fit import AnyFit
 from casid.free import Free
 from casid.nlp import SolverOptions
@@ -34,6 +34,7 @@ from casid.shooting.starting import (
 from casid.shooting.stiffness import MOST, REACH, fastest_flown
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
 from casid.subspace.pbsid import BlackBox
+from casid.unexplained import told, unexplained
 
 LOG = logging.getLogger("casid")
 
@@ -42,6 +43,7 @@ SHORTEN = 2.5  # factor between intervals tried one after the other
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 RISES = (10.0, 300.0, 1e4, 3e5)  # process noises to start from, in units of what is noticed
 FINER = 4  # times the steps of the integration, where they were too few
+EXACT = 4.0  # times the least variance believed: an output predicted exactly
 PATIENCE = 100  # iterations of a solve, where there is another way
 
 
@@ -57,20 +59,27 @@ class Ways:
     interval: float | None
     steps: int | None = None
 
-    def output_error(self, near: AnyFit | None = None) -> Outcome:
+    def output_error(self, near: AnyFit | None = None, *, again: bool = True) -> Outcome:
         """Where output error ends, from a fit nearby if there is one.
 
-        Intervals chosen here become shorter as long as nothing is found. Where shorter ones are
-        left to try, a solve that has not ended in a hundred steps is given up.
+        Intervals chosen here become shorter as long as nothing is found, or, ``again``, an end that
+        explains nothing of an output. Where shorter ones are left to try, a solve that has not
+        ended in a hundred steps is given up.
         """
-        lengths, ends = list(self._lengths()), []
+        lengths, ends = list(self._lengths()), list[Outcome]()
         for length in lengths:
-            options = self.options if length == lengths[-1] else self._limited()
+            some = any(end.solution.success for end in ends)
+            options = self._limited() if some or length != lengths[-1] else self.options
             search = Search(self.free, options, self.steps)
             ends.append(self._searched(search, self._unfiltered(length), near))
-            if ends[-1].solution.success:
-                return ends[-1]
-            LOG.info("output error, intervals of %.3g s: %s", length, ends[-1].solution.status)
+            lost = missed(ends[-1]) if again and near is None else []
+            if ends[-1].solution.success and not lost:
+                break
+            status = f"nothing explained of {', '.join(lost)}" if lost else ends[-1].solution.status
+            LOG.info("output error, intervals of %.3g s: %s", length, status)
+        found = min(ends, key=lambda end: end.cost)  # infinite without success
+        if found.solution.success:
+            return found
         best = min(ends, key=_merit)
         return best if self.steps else self._in_shorter_steps(best, near)
 
@@ -110,7 +119,8 @@ class Ways:
             return self._searched(
                 Search(self.free, self.options, self.steps), self._evaluator(more)
             )
-        plain = replace(self, options=self._limited()).output_error()  # a start, and what to beat
+        limited = replace(self, options=self._limited())
+        plain = limited.output_error(again=False)  # a start, and what to beat
         if isinstance(more, NoiseUnknowns):
             ends = self._noise_ends(more, plain)
         else:
@@ -243,6 +253,36 @@ class Ways:
         while self.interval is None and self._shortest <= length / SHORTEN < longest:
             length /= SHORTEN
             yield length
+
+
+def exact_outputs(outcome: Outcome) -> list[str]:
+    """Outputs whose innovations a filter has shrunk to the least there is."""
+    programme, more = outcome.programme, outcome.programme.evaluator.more
+    if not isinstance(more, NoiseUnknowns) or more.given is not None:
+        return []
+    gains = programme.evaluator.gains(programme.unpack(outcome.solution.x).lam)
+    size = np.full(len(more.least), np.inf) if gains is None else np.diag(gains.S[-1])
+    names = programme.free.model.outputs
+    return [names[i] for i in np.flatnonzero(size <= EXACT * more.least)]
+
+
+def missed(outcome: Outcome) -> list[str]:
+    """Outputs that a solution explains no better than their means do, in words."""
+    programme, solution = outcome.programme, outcome.solution
+    if not solution.success:
+        return []
+    layout = programme.evaluator.layout
+    seen = layout.patterns[layout.pattern].sum(axis=0)
+    squares = np.sum(programme.values(solution.x).motion.residuals ** 2, axis=0)
+    y = [record.y for record in layout.records]
+    return unexplained(programme.free.model.outputs, y, squares / np.maximum(seen, 1))
+
+
+def warn_of_missed(outcome: Outcome, interval: float | None) -> None:
+    """Warn of outputs that a fit explains no better than their means, ``interval`` being given."""
+    if names := missed(outcome):
+        shorter = "shorter intervals, " if interval else ""
+        warn(f"{told(names)}: {shorter}other starts and their costs tell")
 
 
 def choose_interval(free: Free, records: Sequence[Record]) -> float:

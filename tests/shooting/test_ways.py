@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, Roll, noisy
 
-from casid import NonlinearModel, Record, Scalar, SolverOptions, output_error, parameter
+from casid import (
+    DataWarning,
+    Model,
+    NonlinearModel,
+    Record,
+    Scalar,
+    SolverOptions,
+    output_error,
+    parameter,
+)
 from casid.free import free_parameters
-from casid.shooting.ways import GAIN, Ways, choose_interval
+from casid.shooting.ways import GAIN, Ways, choose_interval, missed
 
 
 def ways(model=TRUTH, **more):
@@ -131,3 +140,63 @@ def test_a_lag_far_shorter_than_the_guess_is_found(seed, lag):
     assert abs(fit["lag"].value - lag) < 4 * fit["lag"].std_error
     assert fit["lag"].std_error < lag / 3
     assert abs(fit["k"].value - 8.0) < 4 * fit["k"].std_error
+
+
+# ---- ends that explain nothing ------------------------------------------------------------------
+
+
+class Swing(Model):
+    """An oscillator, whose likelihood has hollows beside the true frequency, 5 rad/s."""
+
+    states = ("w", "phi")
+    inputs = ("de",)
+    outputs = ("phi",)
+    k: Scalar = parameter(default=2.0, lower=0.1, upper=200.0, unit="1/s^2")
+    c: Scalar = parameter(default=0.1, lower=0.0, upper=5.0, unit="1/s")
+    b: Scalar = parameter(default=1.0, lower=-20.0, upper=20.0, unit="rad/s^2")
+
+    def A(self):
+        return [[-self.c, -self.k], [1, 0]]
+
+    def B(self):
+        return [[self.b], [0]]
+
+    def C(self):
+        return [[0, 1]]
+
+
+def swung(sign=1):
+    """Twenty seconds of it under a stick in steps, with noise of 0.01."""
+    rng, t = np.random.default_rng(0), 0.05 * np.arange(400)
+    u = np.repeat(rng.choice([-1, 0, 1], 40), 10).astype(float)[:, None]
+    y = Swing(k=25.0, c=0.3, b=4.0).system().simulate(t, u) + 0.01 * rng.standard_normal((400, 1))
+    return Record(t, u, sign * y, ("de",), ("phi",), "swing")
+
+
+def test_where_an_end_explains_nothing_shorter_intervals_find_the_truth():
+    fit = output_error(Swing(), swung(), biases=False)
+    assert fit.interval == pytest.approx(2.0)
+    assert fit["k"].value == pytest.approx(25.0, abs=4 * fit["k"].std_error)
+    assert np.sqrt(fit.R[0, 0]) == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_fit_that_explains_nothing_of_an_output_says_so():
+    said = "nothing is explained of phi.*: shorter intervals, other starts and their costs tell"
+    with pytest.warns(DataWarning, match=said):
+        lost = output_error(Swing(), swung(), biases=False, interval=5.0)
+    assert lost.cost > output_error(Swing(k=20.0), swung(), biases=False).cost + 1000
+    with pytest.warns(DataWarning, match=r"nothing is explained of phi.*: other starts"):
+        output_error(Swing(k=25.0, b=4.0), swung(-1), fixed=("k", "b"), biases=False)
+
+
+def test_the_start_of_a_filter_and_what_lies_beside_a_fit_nearby_are_not_sought_again():
+    free, options = free_parameters(Swing()), SolverOptions()
+    own = Ways(free, [swung()], options, R="diagonal", biases=False, interval=None)
+    lost = own.output_error(again=False)
+    assert lost.programme.evaluator.layout.interval == 5.0
+    assert missed(lost)
+    assert missed(lost.failed("for some reason")) == []
+    assert not missed(own.output_error())
+    with pytest.warns(DataWarning, match="nothing is explained of phi"):
+        near = output_error(Swing(), swung(), biases=False, interval=5.0)
+    assert own.output_error(near).cost == pytest.approx(near.cost)
