@@ -9,14 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.display import Shown, listed
 from casid.records import Records, same_channels, stretches
 from casid.samples import known_mean
 from casid.threads import one_thread
+from casid.unexplained import unexplained
 from casid.validation import BAND, AnyModel, validate
 
 LAGS = 25  # usual in the field
+WIDE = 0.5  # correlation: where the band is wider, hardly any can leave it
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -41,6 +43,8 @@ class Residuals(Shown):
         Root mean square of the residuals, in the units of the outputs.
     records : tuple of str
         Names of the records.
+    unexplained : tuple of str
+        Outputs whose residuals are as large as they move and no white noise, in words.
     """
 
     outputs: tuple[str, ...]
@@ -52,15 +56,27 @@ class Residuals(Shown):
     cross_band: Array
     rms: Array
     records: tuple[str, ...]
+    unexplained: tuple[str, ...] = ()
 
     def headline(self) -> str:
-        """Records, and the outputs whose residuals the inputs explain still."""
-        trace = [
-            f"{self.outputs[i]} of {self.inputs[j]}"
-            for i, j in zip(*np.nonzero(self.inside()[:, 1:] < 0.9), strict=True)
-        ]
-        told = f"; traces left in {listed(tuple(trace), 8)}" if trace else "; no trace of an input"
-        return f"records {listed(self.records)}{told}"
+        """Records, and the outputs whose residuals the inputs explain still, or may do."""
+        left = self.inside()[:, 1:] < 0.9
+        wide = (self.cross_band > WIDE) & ~left
+        said = [f"records {listed(self.records)}"]
+        if left.any():
+            said.append(f"traces left in {self._pairs(left)}")
+        elif not wide.all():
+            said.append("no trace of an input")
+        if wide.any():
+            said.append(f"in {self._pairs(wide)} none can be told: the band is too wide")
+        if self.unexplained:
+            said.append(f"nothing explained of {listed(self.unexplained, 4)}")
+        return "; ".join(said)
+
+    def _pairs(self, which: BoolArray) -> str:
+        """Outputs and inputs (ny, nu) in words."""
+        pairs = zip(*np.nonzero(which), strict=True)
+        return listed([f"{self.outputs[i]} of {self.inputs[j]}" for i, j in pairs], 8)
 
     def inside(self) -> Array:
         """Share of the correlations inside their band, (ny, 1 + nu): auto (lags above 0), cross."""
@@ -114,16 +130,19 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
         [[_pooled(left, moved, i, j, lags) for j in range(first.nu)] for i in range(len(seen))]
     ).transpose(2, 0, 1) / np.maximum(np.outer(*power), 1e-300)
     N = sum(record.N for record in records)
+    outputs = tuple(first.outputs[i] for i in seen)
+    mean_square = np.nanmean(np.vstack(errors) ** 2, axis=0)
     return Residuals(
-        outputs=tuple(first.outputs[i] for i in seen),
+        outputs=outputs,
         inputs=first.inputs,
         lag=first.dt * np.arange(-lags, lags + 1),
         auto=auto,
         cross=cross,
         auto_band=BAND / float(np.sqrt(N)),
         cross_band=BAND * np.sqrt(np.array(list(_spread(left, moved, power))) / N),
-        rms=np.sqrt(np.nanmean(np.vstack(errors) ** 2, axis=0)),
+        rms=np.sqrt(mean_square),
         records=tuple(record.name for record in records),
+        unexplained=tuple(unexplained(outputs, [r.y[:, seen] for r in records], mean_square)),
     )
 
 

@@ -1,5 +1,7 @@
 """Residuals: correlations by hand, and the level of both tests over many records."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,48 @@ def test_no_records_are_refused():
     lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     with pytest.raises(ValueError, match="no records given"):
         residuals(lag, [])
+
+
+def swung(sign):
+    """A roll axis under one slow sine, all of whose residual is a sine of that frequency, too."""
+    t = DT * np.arange(N)
+    u = np.sin(0.5 * t)[:, None]
+    y = ROLL.simulate(t, u) + 0.01 * np.random.default_rng(6).standard_normal((N, 1))
+    return Record(t, u, sign * y, ("lat",), ("p",), "sine")
+
+
+def test_where_the_band_is_as_wide_as_a_correlation_can_be_no_trace_can_be_told():
+    found = residuals(ROLL, swung(-1))
+    # Autocorrelations of both are that sine; the sum of their products grows with N as N does.
+    assert found.cross_band[0, 0] > 1
+    assert np.abs(found.cross).max() > 0.9
+    assert found.headline() == (
+        "records sine; in p of lat none can be told: the band is too wide; "
+        f"nothing explained of {found.unexplained[0]}"
+    )
+    assert found.unexplained[0].startswith("p (residuals of ")
+
+
+def test_of_a_true_model_all_can_be_told_and_all_is_explained():
+    found = residuals(ROLL, swung(1))
+    assert found.cross_band[0, 0] < 0.2
+    assert found.unexplained == ()
+    assert found.headline() == "records sine; no trace of an input"
+
+
+def test_what_can_be_told_and_what_cannot_stand_side_by_side():
+    one, other = residuals(ROLL, swung(1)), residuals(ROLL, swung(-1))
+    both = replace(
+        one,
+        outputs=("p", "q"),
+        auto=np.hstack([one.auto, other.auto]),
+        cross=np.hstack([one.cross, other.cross]),
+        cross_band=np.vstack([one.cross_band, other.cross_band]),
+    )
+    assert both.headline() == (
+        "records sine; no trace of an input; in q of lat none can be told: the band is too wide"
+    )
+    narrow = replace(both, cross_band=np.array([[0.6], [0.1]]))
+    assert narrow.headline() == (
+        "records sine; traces left in q of lat; in p of lat none can be told: the band is too wide"
+    )
