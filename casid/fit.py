@@ -150,10 +150,11 @@ class Fit(Shown, Generic[M_co, N_co]):
         """Structure, method, outcome."""
         held = sum(row.active for row in self.parameters)
         bounds = f", {held} on their bounds" if held else ""
+        tied = f", {self.held - held} held by constraints" if self.held > held else ""
         outcome = "solved" if self.success else f"NOT SOLVED ({self.status})"
         return (
             f"{type(self.model).__name__} by {self.method}: {outcome}, cost {self.cost:.6g}, "
-            f"{len(self.free_names)} free parameters{bounds}"
+            f"{len(self.free_names)} free parameters{bounds}{tied}"
         )
 
     def __post_init__(self) -> None:

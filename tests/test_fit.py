@@ -288,9 +288,12 @@ def test_a_nonlinear_structure_of_other_equations_is_refused(tmp_path, times):
 
 def test_a_headline_says_how_many_parameters_are_on_their_bounds():
     rows, some = table(), {"model": Lag(), "method": "hand", "cost": 1.25, "free_names": ("a", "b")}
-    said = Fit.headline(SimpleNamespace(parameters=rows, success=True, status="", **some))
+    some |= {"parameters": rows, "success": True, "status": ""}
+    said = Fit.headline(SimpleNamespace(held=1, **some))
     assert said == "Lag by hand: solved, cost 1.25, 2 free parameters, 1 on their bounds"
-    said = Fit.headline(SimpleNamespace(parameters=rows[1:], success=False, status="why", **some))
+    assert Fit.headline(SimpleNamespace(held=2, **some)) == f"{said}, 1 held by constraints"
+    some |= {"parameters": rows[1:], "success": False, "status": "why"}
+    said = Fit.headline(SimpleNamespace(held=0, **some))
     assert said == "Lag by hand: NOT SOLVED (why), cost 1.25, 2 free parameters"
 
 

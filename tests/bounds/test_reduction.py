@@ -34,6 +34,8 @@ def test_a_parameter_the_data_do_not_need_is_dropped_and_no_other():
     found = reduce_structure(Mixture(), DATA)
     assert found.criterion == "aicc"
     assert found.held == {"d": 0.0}
+    assert found.full.headline().endswith(", 3 free parameters")
+    assert found.fit.headline().endswith(", 3 free parameters, 1 held by constraints")
     assert found.fit["d"].value == pytest.approx(0.0, abs=1e-9)
     for name in ("a", "b"):  # within three standard errors of the truth
         row = found.fit[name]
