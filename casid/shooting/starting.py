@@ -6,6 +6,7 @@ poor start, or an unstable one, does not run away from the measurements.
 """
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,8 @@ import scipy
 import scipy.linalg
 
 from casid.arrays import Array
+from casid.channels import UNITS
+from casid.display import listed
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit
 from casid.free import Free
@@ -23,6 +26,7 @@ from casid.shooting.sensitivity import Evaluator, Point
 SURPRISE = 0.5  # share of the inputs' effect that the starting model may miss
 FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
 MOST = 10.0  # deviations that a channel's distance from zero counts for
+ROUND = ("phi", "psi")  # angles that may turn further than a right angle
 OTHER = 4.0  # times the variances of a fit: residuals that are not of its motion
 
 
@@ -220,6 +224,20 @@ def accumulated(A: Array, Q: Array, T: float) -> Array:
     return np.asarray(total)
 
 
+def _units_told(programme: Programme) -> str:
+    """A reminder of units, with the angles of the records that are too large for radians."""
+    own: Mapping[str, str] = UNITS | dict(getattr(programme.free.model, "units", {}))
+    largest: dict[str, float] = {}
+    for record in programme.evaluator.layout.records:
+        for name, x in zip(
+            (*record.inputs, *record.outputs), (*record.u.T, *record.y.T), strict=True
+        ):
+            if name not in ROUND and own.get(name) == "rad" and np.isfinite(x).any():
+                largest[name] = max(largest.get(name, 0.0), float(np.nanmax(np.abs(x))))
+    odd = [f"{name} reaches {size:.3g} rad" for name, size in largest.items() if size > np.pi / 2]
+    return f"or convert degrees: {listed(odd)}" if odd else "or check the units of the records"
+
+
 def _smooth(blocks: Blocks, point: Point, rest: Array, programme: Programme, drift: Array) -> Array:
     """Nodes minimising the residuals and, weighted by drift⁻¹, the gaps between intervals."""
     H, g, slope, link = blocks.Hnn, blocks.gn, blocks.slope_n, programme.links
@@ -230,7 +248,7 @@ def _smooth(blocks: Blocks, point: Point, rest: Array, programme: Programme, dri
         raise ConvergenceError(
             "the starting model's simulation overflows within one interval"
             f"{programme.evaluator.lost(point)}; give a shorter interval or a "
-            "start nearer the data"
+            f"start nearer the data, {_units_told(programme)}"
         )
     P = np.linalg.inv(drift)
     diagonal, right = H.copy(), -g

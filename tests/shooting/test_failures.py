@@ -1,6 +1,7 @@
 """What output error refuses or disbelieves, in which words; and data that are no reason to."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,7 +17,16 @@ from truths.closed_roll import (
     with_response,
 )
 
-from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
+from casid import (
+    Constraint,
+    ConvergenceError,
+    ModelError,
+    NonlinearModel,
+    Record,
+    Scalar,
+    SolverOptions,
+    parameter,
+)
 from casid.free import free_parameters
 from casid.shooting.output_error import output_error
 from casid.shooting.search import Search
@@ -109,6 +119,33 @@ def test_a_start_whose_simulation_diverges_says_so_and_comes_back():
         output_error(Wild(), [noisy()])
     assert not caught.value.best.success
     assert caught.value.best["Lp"].value == 1900.0
+
+
+def test_where_a_start_diverges_angles_that_are_too_large_for_radians_are_named():
+    class Stiffening(NonlinearModel):
+        states = ("w", "theta")
+        inputs = ("de",)
+        outputs = ("theta",)
+        units: ClassVar[dict[str, str]] = {"de": "rad"}
+        k: Scalar = parameter(default=-40.0, lower=-100.0, upper=0.0, unit="1/s^2")
+
+        def derivatives(self, x, u):
+            return [self.k * x.theta**3 - x.w**3 + u.de, x.w]
+
+        def measurements(self, x, u):  # noqa: ARG002
+            return [x.theta]
+
+    t = 0.1 * np.arange(100)
+    pair = 0.2 * np.sin(t)[:, None], 0.3 * np.cos(t)[:, None]
+    for factor, said in (
+        (180 / np.pi, "or convert degrees: de reaches 11.5 rad, theta reaches 17.2 rad"),
+        (5.0, "or check the units of the records"),
+    ):
+        u, y = pair if factor == 5.0 else (factor * part for part in pair)
+        k = -1e7 if factor == 5.0 else -40.0
+        record = Record(t, u, y, ("de",), ("theta",), "flight")
+        with pytest.raises(ConvergenceError, match=said):
+            output_error(Stiffening(k=k), record, bounds={"k": (-1e8, 0.0)})
 
 
 def test_a_start_that_falls_over_in_the_data_is_caught_by_the_intervals():
