@@ -49,7 +49,7 @@ class Trim:
     moves: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", {k: float(v) for k, v in self.values.items()})
+        object.__setattr__(self, "values", {k: _total(k, v) for k, v in self.values.items()})
         object.__setattr__(self, "unknown", tuple(self.unknown))
 
     def __hash__(self) -> int:
@@ -63,6 +63,17 @@ class Trim:
         moves = [(name, tuple(sorted(own.items()))) for name, own in sorted(self.moves.items())]
         values = tuple(sorted(self.values.items()))
         return self.name, self.unknown, speed, values, tuple(moves)
+
+
+def _total(name: str, value: Any) -> float:  # noqa: ANN401 - whatever the user has
+    """Value of a trim's channel; ValueError, with its name, for what is no number."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"trim: {name} = {value!r} is no number; give one total value in the structure's "
+            "units, and a trim for every further one"
+        ) from None
 
 
 def linearisation(model: Nonlinear, conditions: Sequence[Trim]) -> Model:

@@ -131,3 +131,9 @@ def test_a_position_does_not_have_to_be_balanced_by_an_unknown():
     fit = match(start, target, norm="quadratic")
     assert fit["a"].value == pytest.approx(0.12, rel=1e-5)  # 2 a V = 2.4
     assert fit["u_trim"].value == pytest.approx(8.0, rel=1e-5)  # a V² / b
+
+
+@pytest.mark.parametrize("value", [[0.1, 0.2], "x", None, {}])
+def test_a_condition_that_is_no_number_is_refused_by_name(value):
+    with pytest.raises(ValueError, match=r"trim: theta = .* is no number; give one total value"):
+        Swing().at({"theta": value})
