@@ -65,10 +65,12 @@ class Estimate:
         heard: Sequence[int],
         noise: NoiseInInputs,
         references: int = 0,
+        end: float = np.inf,
     ) -> "Estimate":
         """What local models say of outputs that move, where these exist and inputs separate.
 
         Outputs that a record lacks, and all where losses leave no stretch, keep averaged spectra.
+        Above ``end`` [rad/s] some input is little but noise fed back.
         """
         lacking = {
             i: record.name for record in records for i in heard if np.isnan(record.y[:, i]).all()
@@ -85,7 +87,8 @@ class Estimate:
             return self
         names = [records[0].outputs[i] for i in heard]
         parts = [record.select(outputs=names) for record in records]
-        local = local_response(parts, omega, None if references else noise.of(heard), references)
+        carried = None if references else noise.of(heard)
+        local = local_response(parts, omega, carried, references, end)
         if local is None:
             warn(
                 "losses leave no stretch for local models at some frequency: the response is that "

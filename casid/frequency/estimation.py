@@ -107,7 +107,9 @@ class SpectralAnalysis:
         noise = self._noise(moving, omega)
         estimate = Estimate.of_windows(merged, parts, usable, lengths, omega, noise)
         if self.conditioned:
-            local = estimate.refined(moving, omega, heard, noise, len(self.reference))
+            local = estimate.refined(
+                moving, omega, heard, noise, len(self.reference), min(ends.values(), default=np.inf)
+            )
             estimate = local if self.method == "local" else estimate.compared(local)
         estimate, lost = estimate.under_feedback(
             omega, [ends.get(inputs[i], np.inf) for i in active]

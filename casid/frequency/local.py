@@ -66,11 +66,13 @@ def local_response(
     omega: Array,
     noise: NoiseInInputs | None = None,
     references: int = 0,
+    end: float = np.inf,
 ) -> LocalResponse | None:
     """Response at frequencies (K,) [rad/s] of equidistant records, all of whose channels move.
 
     ``noise`` is that of the outputs in the inputs, none unless given. The last ``references`` of
-    the inputs are such, as many as there are inputs beside them.
+    the inputs are such, as many as there are inputs beside them. Above ``end`` [rad/s] some input
+    is little but noise fed back.
 
     None where a record lacks a channel, or losses leave no stretch at some frequency.
     """
@@ -86,7 +88,7 @@ def local_response(
         other, more, *_ = of_inputs(other, more, correlated, powers, references)
         back = np.zeros_like(G)  # averaged spectra tell what noise does in references
     squared = _beyond_noise(G, error, other, more)
-    between = _between_samples(records, omega, G, references)
+    between = _between_samples(records, omega, G, references, end)
     squared = np.maximum(squared, 0.0)
     # As a share of response and difference together: a logarithm's error has limits.
     bias = np.sqrt(squared / (1 + squared) + between**2)
@@ -96,7 +98,7 @@ def local_response(
 
 
 def _between_samples(
-    records: Sequence[Record], omega: Array, G: ComplexArray, references: int
+    records: Sequence[Record], omega: Array, G: ComplexArray, references: int, end: float
 ) -> Array:
     """Bias (K, ny, nu), relative, as samples do not tell what inputs do between them.
 
@@ -104,13 +106,16 @@ def _between_samples(
     leave open of a response that falls with ω. A direct term follows their steps at once, not half
     a sample later as they do in the mean: ωh/2 of as much as the response is at a quarter of the
     sampling rate, where a direct term is what is left, or at the last frequency if that has none.
+    Neither is above the ``end`` of what comes from outside: noise fed back moves some input there,
+    and the response is the controller's inverse.
     """
     smooth = max(record.dt for record in records) * omega[:, None, None]
     between = np.broadcast_to(smooth**2 / 12, G.shape)
     held = max((record.dt for record in records if record.hold == "zoh"), default=0.0)
     if not held:
         return between
-    high = np.array([np.pi / 2 / held])
+    end = max(end, omega[0])
+    high = np.array([min(np.pi / 2 / held, end)])
     stretches, found = lines_at(records, high, references), []
     for powers in (QUADRATIC, CUBIC):
         beyond, error, *_, outputs, inputs = _at_all(stretches, high, powers)
@@ -118,7 +123,8 @@ def _between_samples(
             beyond, error, *_ = of_inputs(beyond, error, outputs, inputs, references)
         found.append((np.abs(beyond), error))
     (beyond, error), (other, _) = found
-    last = np.take_along_axis(G, len(G) - 1 - np.isfinite(G[::-1]).argmax(axis=0)[None], axis=0)
+    upto = G[omega <= end][::-1]
+    last = np.take_along_axis(upto, np.isfinite(upto).argmax(axis=0)[None], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         there = (error < SEEN) & (np.abs(other - beyond) < beyond / 2)  # nor what a record's end is
         direct = np.where(there, beyond, np.abs(last)) / np.abs(G)

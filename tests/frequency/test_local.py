@@ -121,6 +121,45 @@ def test_what_held_inputs_leave_open_of_direct_terms_is_stated(known):
         assert (stated[:, 0] < 0.5 * omega * dt / 2).all()
 
 
+def held_in_loop(seed, noise=0.02, dt=0.02, last=9.0):
+    """A minute's sweep to ``last`` rad/s, held by a computer that adds what it measures.
+
+    The second output has a direct term of three.
+    """
+    rng, t = np.random.default_rng(seed), dt * np.arange(3000)
+    swept = np.sin(0.5 * t + (last - 0.5) * t**2 / 120)
+    lag = scipy.signal.StateSpace([[-2.0]], [[2.0]], [[1.0], [-2.0]], [[0.0], [3.0]])
+    pulse = lag.to_discrete(dt)
+    v = noise * rng.standard_normal((3000, 2))
+    x, back, u, y = 0.0, 0.0, np.zeros(3000), np.zeros((3000, 2))
+    for k in range(3000):
+        u[k] = swept[k] + back
+        y[k] = pulse.C[:, 0] * x + pulse.D[:, 0] * u[k] + v[k]
+        back += (1 - np.exp(-dt / 0.05)) * (-0.5 * y[k, 0] - back)
+        x = pulse.A[0, 0] * x + pulse.B[0, 0] * u[k]
+    return Record(t, u[:, None], y, ("u",), ("p", "a"), f"{seed}", "zoh")
+
+
+@pytest.mark.filterwarnings("ignore:.*noise fed back into:casid.errors.DataWarning")
+@pytest.mark.parametrize("method", ["local", "windows"])
+def test_noise_fed_back_above_a_sweep_is_no_direct_term(method):
+    omega = np.geomspace(2.0, 8.0, 5)
+    lag = 2.0 / (1j * omega + 2.0)
+    true = np.column_stack([lag, 3.0 - 2.0 * lag])
+    found = [
+        frequency_response(held_in_loop(k), omega=omega, method=method, windows=[15.0, 20.0])
+        for k in range(4)
+    ]
+    off = np.sqrt(np.mean([np.abs(each.G[..., 0] / true - 1) ** 2 for each in found], axis=0))
+    leakage = np.median([each.leakage[..., 0] for each in found], axis=0)
+    random = np.median([each.random_error[..., 0] for each in found], axis=0)
+    assert (off < 1.1 * np.hypot(leakage, 3 * random)).all()
+    # At most that of a direct term as large as the response where the sweep ends.
+    assert (leakage[:, 0] < 0.02 * omega / 2 + 3 * random[:, 0]).all()
+    assert off[-1, 1] > 0.07  # half a sample of the direct term
+    assert (leakage[:, 1] < 1.1 * off[:, 1] + 3 * random[:, 1]).all()
+
+
 def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():
     rng, mixed = np.random.default_rng(1), []
     lines, _ = rational(rng, noise=0.0, nu=2, ny=2)
