@@ -165,11 +165,12 @@ def _bandwidth(
     remarks += _several("the phase", "-135°", _passing(x, phase, -135.0, turns=False), x180)
     if not attitude_command:
         remarks += _several("the gain", "6 dB above that at ω_180", before[1], x180)
-    again = np.exp(_passing(x, phase, -180.0, turns=False))[1:]
+    again = _passing(x, phase, -180.0, turns=False)
+    again = again[again > x180 + 1e-9]  # growing modes may have raised it through that before
     if len(again):
         remarks.append(
-            f"the phase passes -180° again, at {', '.join(f'{at:.3g}' for at in again)} rad/s: "
-            "ω_180 is the first, and what is lost between them is no phase delay"
+            f"the phase passes -180° again, at {', '.join(f'{at:.3g}' for at in np.exp(again))} "
+            "rad/s: ω_180 is the first, and what is lost between them is no phase delay"
         )
     if np.isnan(by_phase):
         remarks.append("the phase is below -135° in the whole band: no phase bandwidth in it")

@@ -163,6 +163,23 @@ def test_a_phase_that_passes_minus_180_several_times_is_told():
     np.testing.assert_allclose([float(each) for each in places], at[1:], rtol=0.01)
 
 
+def test_a_growing_mode_that_raises_the_phase_through_minus_180_passes_it_once():
+    def aircraft(s):
+        return 6 * (s + 0.05) / ((s**2 - 0.16 * s + 0.18) * (s + 1.5)) * np.exp(-0.08 * s)
+
+    omega = np.geomspace(0.2, 30, 500)
+    phase = np.degrees(np.unwrap(np.angle(aircraft(1j * omega))))
+    phase -= 360 * np.round((phase[-1] + 270) / 360)
+    up, down = omega[1:][np.diff(np.sign(phase + 180)) != 0]
+    assert phase[0] < -180
+    read = handling_qualities(response(aircraft, omega), ("phi", "lat"))
+    assert up < 1 < down == pytest.approx(read.omega_180, rel=0.02)
+    # A straight line of phase delays by half of what it loses per rad/s.
+    beyond = np.interp(2 * read.omega_180, omega, phase)
+    assert read.phase_delay == pytest.approx(np.radians(-180 - beyond) / 2 / read.omega_180, 0.01)
+    assert not [each for each in read.remarks if "again" in each]
+
+
 def test_what_lies_outside_the_band_is_said():
     low = response(roll, np.geomspace(0.1, 7.0, 300))
     read = handling_qualities(low, ("phi", "lat"))
