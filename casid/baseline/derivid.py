@@ -12,7 +12,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.baseline.accuracy import DerividNotes, PairCost, accuracy, accuracy_row
-from casid.baseline.pairs import Pairs, select, thin
+from casid.baseline.pairs import Pairs, missing_channels, select, thin
 from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
 from casid.declaration import check_priors
@@ -100,7 +100,7 @@ class Derivid:
         free = free_parameters(model, fixed, bounds, self.priors)
         measured = thin(frf if self.band is None else frf.between(*self.band), self.n_omega)
         problem = Condensed.of(free, select(model, measured, self.pairs, self.coherence))
-        check_effects(problem)
+        check_effects(problem, missing_channels(model, measured))
         starts = self.starts if near is None else min(2, self.starts)
         found = descents(problem, starts, self.seed)
         best = solve(problem, found, self.solver)

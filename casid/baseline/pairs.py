@@ -37,6 +37,8 @@ def select(
         used = known & (gamma >= coherence)
         used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))
         if not used.any():
+            if np.isnan(G).all() and (lacking := missing_channels(model, frf)):
+                raise ValueError(f"no pair of the model was measured: {lacking}")
             raise ValueError(
                 f"no pair has coherence >= {coherence:g} at {FEWEST} frequencies; lower the "
                 "threshold, name the pairs, or improve the response"
@@ -49,6 +51,18 @@ def select(
     source = Source.measured(frf.omega, np.where(used, G, 0.0), W)
     band = float(frf.omega[0]), float(frf.omega[-1])
     return Comparison(sources=(source,), input_scale=np.array(scale), band=band, shift=0.0)
+
+
+def missing_channels(model: Model, frf: FrequencyResponse) -> str:
+    """What the model has that a response does not, and the remedy; empty where there is none."""
+    said = []
+    for kind, wanted, known in (
+        ("input", model.inputs, frf.inputs),
+        ("output", model.outputs, frf.outputs),
+    ):
+        if missing := [repr(name) for name in wanted if name not in known]:
+            said.append(f"the response has no {kind} {', '.join(missing)}, but {', '.join(known)}")
+    return "; ".join([*said, "rename channels, or leave them out of the model"]) if said else ""
 
 
 def _named(model: Model, frf: FrequencyResponse, pairs: Pairs, known: BoolArray) -> BoolArray:

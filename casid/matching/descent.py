@@ -238,11 +238,16 @@ def _real(z: ComplexArray) -> Array:
     return np.ascontiguousarray(z).view(float)
 
 
-def check_effects(problem: Condensed) -> None:
-    """Raise a ModelError for a parameter on which no weighted response depends."""
+def check_effects(problem: Condensed, lacking: str = "") -> None:
+    """Raise a ModelError for a parameter on which no weighted response depends.
+
+    What is ``lacking`` of the model's channels in the targets is said beside.
+    """
     if len(idle := problem.idle()):
         name = problem.free.names[idle[0]]
         raise ModelError(
             f"{name} has no effect on any weighted response: no target can identify it; fix it "
             f"(fixed={{{name!r}}}), or weigh an output that depends on it"
+            + f" ({lacking})"
+            * bool(lacking)
         )

@@ -392,6 +392,25 @@ def test_a_parameter_on_which_nothing_depends_is_named():
         derivid(Idle(), response(Idle()))
 
 
+def test_an_input_of_another_name_is_named_where_its_parameters_have_no_effect():
+    class Two(Model):
+        states, inputs, outputs = ("p",), ("lat", "lon"), ("p",)
+        Lp: float = parameter(default=-3.0, unit="1/s")
+        Llat: float = parameter(default=5.0, unit="rad/s^2")
+        Llon: float = parameter(default=1.0, unit="rad/s^2")
+
+        def A(self):
+            return [[self.Lp]]
+
+        def B(self):
+            return [[self.Llat, self.Llon]]
+
+    measured = dataclasses.replace(response(Two()), inputs=("lat", "dlon"))
+    with pytest.raises(ModelError, match=r"Llon has no effect .* no input 'lon', but lat, dlon"):
+        derivid(Two(), measured, starts=1)
+    assert derivid(Two(), measured, fixed={"Llon"}, starts=1)["Lp"].value == pytest.approx(-3.0)
+
+
 def test_a_delay_that_may_be_negative_is_refused():
     with pytest.raises(ModelError, match=r"that of 'lat' may be -0\.1 s between the bounds of tau"):
         derivid(Roll(), response(TRUTH), bounds={"tau": (-0.1, 0.3)})

@@ -7,7 +7,7 @@ import pytest
 from truths.structures import TRUTH, HoverRoll
 
 from casid import FrequencyResponse
-from casid.baseline.pairs import select, thin
+from casid.baseline.pairs import missing_channels, select, thin
 from casid.matching.mismatch import weighted_errors
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
@@ -48,6 +48,35 @@ def test_pairs_of_few_coherent_points_are_left_out():
     }, coherence=np.where(np.arange(20)[:, None, None] < [[4], [5]], 0.9, 0.3))  # fmt: skip
     used = select(HoverRoll(), frf).W > 0
     assert used.sum(axis=0).tolist() == [[0], [5]]
+
+
+@pytest.mark.parametrize(
+    ("renamed", "message"),
+    [
+        (
+            {"inputs": ("dlat",)},
+            "no pair of the model was measured: the response has no input 'lat', but dlat; rename",
+        ),
+        (
+            {"outputs": ("P", "PHI")},
+            "no pair of the model was measured: the response has no output 'p', 'phi', but P, PHI",
+        ),
+        # Of what both have coherence is too low.
+        ({"outputs": ("p", "PHI"), "coherence": np.full((20, 2, 1), 0.3)}, "no pair has coherence"),
+    ],
+)
+def test_names_that_differ_are_not_blamed_on_coherence(renamed, message):
+    with pytest.raises(ValueError, match=message):
+        select(HoverRoll(), dataclasses.replace(measured(), **renamed))
+
+
+def test_missing_channels_are_named_with_what_there_is():
+    assert missing_channels(HoverRoll(), measured()) == ""
+    found = missing_channels(HoverRoll(), dataclasses.replace(measured(), outputs=("p", "roll")))
+    assert found == (
+        "the response has no output 'phi', but p, roll; rename channels, or leave them out of the "
+        "model"
+    )
 
 
 def test_channels_in_another_order_are_found():
