@@ -27,18 +27,12 @@ def select(
     gamma = in_channels(model, *names, frf.coherence)
     gamma = np.where(np.isfinite(gamma), gamma, 0.0)
     known = np.isfinite(G) & (np.abs(G) > 0) & (gamma > 0)  # without coherence nothing weighs
-    if not np.isfinite(G).any():
-        why = "; ".join(frf.flags) or "all are NaN"
-        raise ValueError(
-            f"no point of the measured response is known ({why}); mend the records that it was "
-            "estimated from, or ask for other frequencies"
-        )
+    if np.isnan(G).all():
+        raise ValueError(_nothing_known(model, frf))
     if pairs is None:
         used = known & (gamma >= coherence)
         used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))
         if not used.any():
-            if np.isnan(G).all() and (lacking := missing_channels(model, frf)):
-                raise ValueError(f"no pair of the model was measured: {lacking}")
             raise ValueError(
                 f"no pair has coherence >= {coherence:g} at {FEWEST} frequencies; lower the "
                 "threshold, name the pairs, or improve the response"
@@ -51,6 +45,17 @@ def select(
     source = Source.measured(frf.omega, np.where(used, G, 0.0), W)
     band = float(frf.omega[0]), float(frf.omega[-1])
     return Comparison(sources=(source,), input_scale=np.array(scale), band=band, shift=0.0)
+
+
+def _nothing_known(model: Model, frf: FrequencyResponse) -> str:
+    """Why no pair of the model was measured, and the remedy."""
+    if np.isfinite(frf.G).any() and (lacking := missing_channels(model, frf)):
+        return f"no pair of the model was measured: {lacking}"
+    why = "; ".join(frf.flags) or "all are NaN"
+    return (
+        f"no point of the measured response is known ({why}); mend the records that it was "
+        "estimated from, or ask for other frequencies"
+    )
 
 
 def missing_channels(model: Model, frf: FrequencyResponse) -> str:
