@@ -1,8 +1,10 @@
 """One set of spectra from several window lengths, by their random errors.
 
 M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed. (*T&R*),
-chapter 10. Departure: the errors of the cross-spectrum are weighed relative to its magnitude, so
-that the composite does not depend on where its phase happens to lie.
+chapter 10. Departures: the errors of the cross-spectrum are weighed relative to its magnitude, so
+that the composite does not depend on where its phase happens to lie. Where a sweep begins or ends
+long windows hold much less of it than short ones, and errors relative to little power count most:
+windows with less than a quarter of what the most accurate one has are left out.
 """
 
 from collections.abc import Sequence
@@ -18,6 +20,7 @@ STEPS = 60  # at most; five or six where windows hardly differ
 DAMPING, RISE = 1e-3, 10.0  # of the first step; where a step fails, and back where it does not
 SETTLED = 1e-10  # of the unknowns, relative, that the last step moves
 FARTHEST = 3.0  # a step of a logarithm
+LEAST = 0.25  # of the input's spectrum in the window of the least random error
 TINY = 1e-12  # of a mean, the least size
 
 
@@ -29,10 +32,11 @@ def composite(parts: Sequence[Conditioned], usable: BoolArray) -> Conditioned:
         Σ_w W_w [(Gxx/Gxx_w - 1)² + (Gyy/Gyy_w - 1)² + |Gxy - Gxy_w|²/|Gxy_w|² + 5 (γ²/γ_w² - 1)²],
 
     W_w = (ε_w / min ε)⁻⁴, over the ``usable`` windows (windows, K); NaN where there is none. Inputs
-    of windows of other records differ in power: what they say need not be nearly the same.
+    of windows of other records differ in power: what they say need not be nearly the same. Zero is
+    W_w where Gxx_w is less than a quarter of that of the least ε.
     """
     stacked = {name: np.array([getattr(part, name) for part in parts]) for name in FIELDS}
-    W = window_weights(stacked["random_error"], usable)  # (windows, K, ny, nu)
+    W = window_weights(parts, usable)  # (windows, K, ny, nu)
     means = {name: _mean(W, stacked[name]) for name in ("Gxx", "Gyy", "Gxy", "random_error")}
     # Relative to the weighted means: four unknowns of order one, the phase of the mean removed.
     a, b, z = (_relative(W, stacked[name], means[name]) for name in ("Gxx", "Gyy", "Gxy"))
@@ -77,12 +81,15 @@ def _relative(W: Array, values: Any, mean: Any) -> Any:  # noqa: ANN401 - real o
     return np.where(counts, values, 1.0) / np.where(counts, mean, 1.0)
 
 
-def window_weights(error: Array, usable: BoolArray) -> Array:
+def window_weights(parts: Sequence[Conditioned], usable: BoolArray) -> Array:
     """W_w of every window length, adding up to one; zero where it may not be used."""
+    error, power = (np.array([getattr(p, name) for p in parts]) for name in ("random_error", "Gxx"))
     known = np.where(np.isfinite(error), np.maximum(error, 1e-6), 1e6)
     trusted = np.where(usable[:, :, None, None], known, np.inf)
     best = trusted.min(axis=0)
     W = np.where(np.isfinite(trusted), (trusted / np.where(np.isfinite(best), best, 1)) ** -4.0, 0)
+    most = np.take_along_axis(power, W.argmax(axis=0)[None], axis=0)
+    W = np.where(power < LEAST * most, 0.0, W)
     total = W.sum(axis=0)
     return np.asarray(W / np.where(total > 0, total, 1.0))
 

@@ -45,7 +45,7 @@ class Estimate:
         noise: NoiseInInputs,
     ) -> "Estimate":
         """The estimate from averaged spectra: response, errors and their correlations."""
-        W = window_weights(np.array([part.random_error for part in parts]), usable)
+        W = window_weights(parts, usable)
         return cls(
             G=merged.response,
             coherence=merged.coherence,

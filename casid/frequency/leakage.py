@@ -34,7 +34,7 @@ def leakage(
     """
     L = np.array(lengths)
     pairs = {i: j for i in range(len(L)) if (j := _shorter(L, i)) is not None}
-    W = window_weights(np.array([part.random_error for part in parts]), usable)
+    W = window_weights(parts, usable)
     total = np.zeros(W.shape[1:])
     for w in range(len(L) if pairs else 0):
         i = w if w in pairs else min(pairs)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from truths.systems import TWO, white
+from truths.systems import DT, TWO, white
 
+from casid import Record, frequency_response
 from casid.frequency.composite import _blend, composite
 from casid.frequency.spectra import Conditioned, condition, record_spectra
 
@@ -21,8 +22,9 @@ def pairs(values):
 def residuals(parts):
     """Those of the composite's cost, of log Gxx, log Gyy and Gxy."""
     error = np.array([part.random_error.item() for part in parts])
-    sw = (error / error.min()) ** -2
     Gxx, Gyy, Gxy = (np.array([getattr(p, n).item() for p in parts]) for n in ("Gxx", "Gyy", "Gxy"))
+    # Those that hardly hold any of the input do not count.
+    sw = np.where(Gxx < Gxx[error.argmin()] / 4, 0.0, (error / error.min()) ** -2)
     own = np.abs(Gxy) ** 2 / (Gxx * Gyy)
 
     def found(q):
@@ -113,3 +115,37 @@ def test_windows_of_unequal_power_that_say_the_same_are_not_contradicted(ratio):
     merged = composite(parts, np.ones((2, 1), dtype=bool))
     assert merged.response.item() == pytest.approx(2 - 1j, rel=1e-6)
     assert merged.coherence.item() == pytest.approx(0.98, rel=1e-6)
+
+
+@pytest.mark.parametrize(("power", "counts"), [(0.24, False), (0.26, True), (100.0, True)])
+def test_windows_that_hardly_hold_the_input_do_not_count(power, counts):
+    best = {"Gxx": 1.0, "Gxy": 2 - 1j, "Gyy": 5 / 0.9, "random_error": 0.1}
+    # As accurate by its own word, and half off.
+    off = {"Gxx": power, "Gxy": 3 * power, "Gyy": 10 * power, "random_error": 0.1001}
+    merged = composite(pairs([off, best]), np.ones((2, 1), dtype=bool))
+    assert (abs(merged.response.item() - (2 - 1j)) > 1e-3) == counts
+
+
+def both_axes(seed):
+    """Sweeps to 14 rad/s, two of each input, that the other follows in part; noise on outputs."""
+    rng, t = np.random.default_rng(seed), DT * np.arange(1800)
+    part = np.clip((t - 3) / 84, 0, 1)
+    # Most of the time is spent at low frequencies.
+    turned = 84 * (0.3 * part + 0.0187 * 13.7 * ((np.exp(4 * part) - 1) / 4 - part))
+    swept = np.clip((t - 3) / 2, 0, 1) * np.clip((87 - t) / 2, 0, 1) * np.sin(turned)
+    for axis, share in ((0, 0.35), (1, 0.35), (0, -0.2), (1, -0.2)):
+        moved = 0.1 * np.convolve(rng.standard_normal(len(t)), np.ones(40) / 40, "same")
+        u = np.column_stack([swept, share * swept + moved])[:, [axis, 1 - axis]]
+        y = TWO.simulate(t, u) + 0.005 * rng.standard_normal((len(t), 2))
+        yield Record(t, u, y, TWO.inputs, TWO.outputs, f"{axis} {share}")
+
+
+def test_where_a_sweep_ends_the_composite_is_as_good_as_its_stated_error():
+    omega = np.array([9.0, 11.0, 13.0, 14.0])
+    found = [
+        frequency_response([*both_axes(seed)], omega=omega, method="windows") for seed in range(6)
+    ]
+    off = [np.abs(each.G / TWO.response(omega) - 1) ** 2 / 2 for each in found]
+    stated = np.median([each.error for each in found], axis=0)
+    assert (np.sqrt(np.mean(off, axis=0)) < 1.2 * stated).all()
+    assert (stated < 0.4).all()
