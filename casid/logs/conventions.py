@@ -220,11 +220,7 @@ def with_units(sources: Mapping[str, Source], stated: Mapping[str, str]) -> dict
     An input in µs is one of pulses whether the user says so or the log: no command is a time.
     """
     found = dict(sources)
-    pulses = {
-        name: each.unit
-        for name, each in sources.items()
-        if name not in OUTPUTS and each.unit in PULSES
-    }
+    pulses = {name: each.unit for name, each in sources.items() if each.unit in PULSES}
     for name, said in (pulses | dict(stated)).items():
         if (source := sources.get(name)) is None:
             continue

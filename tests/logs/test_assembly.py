@@ -5,7 +5,16 @@ import pytest
 from truths.logs import LATE, RATES, STICKS, flight, ulog
 
 from casid import StateSpace, read_log
-from casid.logs.assembly import assemble, hold_of, hold_told, in_steps, lateness, usual_dt
+from casid.logs.assembly import (
+    _means,
+    _picked,
+    assemble,
+    hold_of,
+    hold_told,
+    in_steps,
+    lateness,
+    usual_dt,
+)
 from casid.logs.conventions import Source, derived, find_channels, others
 from casid.logs.topics import Topic
 
@@ -167,6 +176,39 @@ def test_commands_held_on_a_clock_of_their_own_have_the_area_of_their_steps():
     tau = np.linspace(0.078, 0.082, 41)
     errors = [np.sum((_lag(truth, record, each) - record.y[:, 0])[200:] ** 2) for each in tau]
     assert tau[np.argmin(errors)] == pytest.approx(0.08, abs=0.0003)
+
+
+def test_records_of_held_commands_are_as_fast_as_gyros_down_to_five_milliseconds():
+    _, inputs, outputs, _ = slow(0.04)
+    fast = {"p": source(np.arange(0, 40, 0.0025), np.zeros(16_000), "M")}
+    medium = {"p": source(np.arange(0, 40, 0.02), np.zeros(2000), "M")}
+    assert [usual_dt(inputs, each) for each in (fast, outputs, medium)] == [0.005, 0.005, 0.02]
+
+
+def test_commands_between_the_instants_of_a_record_are_no_held_ones():
+    _, inputs, outputs, _ = slow(0.02)
+    own = inputs["u"]
+    other = source(own.topic.t + 0.0015, own.values, "other")  # 0.3 intervals of 5 ms
+    assert hold_of(inputs, outputs, 0.005) == "zoh"
+    assert hold_of(inputs | {"v": other}, outputs, 0.005) == "foh"
+    assert hold_of(inputs | {"v": other}, outputs, 0.0015) == "foh"
+
+
+def test_of_two_commands_at_one_instant_the_later_stays():
+    t = np.append(0.02 * np.arange(30), 0.2008)  # another one 0.8 ms after the tenth
+    x = np.append(np.arange(30.0), 77.0)
+    order = np.argsort(t)
+    found = _picked(source(t[order], x[order]), 0.01 * np.arange(58), 0.01)
+    wanted = np.arange(58) // 2
+    np.testing.assert_array_equal(found, np.where(wanted == 10, 77, wanted))
+
+
+def test_means_of_a_held_signal():
+    t = np.append(0.1 * np.arange(20), 0.1 * np.arange(30, 50))  # a second without samples
+    x = np.where(np.arange(40) % 2, 1.0, 3.0)
+    at = np.array([0.0, 0.05, 0.1, 0.12, 2.5, 3.02])
+    np.testing.assert_allclose(_means(t, x, at, 0.08), [3, 3, 2, 1.5, np.nan, 2.5])
+    assert np.isnan(_means(t[:8], x[:8], at, 0.08)).all()
 
 
 def _lag(truth, record, tau):

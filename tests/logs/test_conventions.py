@@ -126,6 +126,8 @@ def test_commands_in_microseconds_are_pulses_whoever_says_so(name, stated):
     logged = source("us", (1500e-6, 1900e-6))  # as a time, which the log's word alone makes of them
     found = with_units({name: logged}, stated)
     np.testing.assert_allclose(found[name].values, [1.5, 1.9])
+    (percent,) = with_units({name: logged}, {name: "%"}).values()
+    np.testing.assert_allclose(percent.values, [15, 19])  # 1500 and 1900 of what the user says
     (said,) = check_units(PATH, with_units({name: logged}, {}))
     assert said == f"{name} is in us: pulses, of which 1000 are one of the record"
 
@@ -138,7 +140,7 @@ def test_a_unit_that_nobody_states_is_told():
     assert check_units(PATH, {"p": source("deg/s"), "q": source(None)}) == []
 
 
-@pytest.mark.parametrize("unit", ["Grad/sec", "m/s"])
+@pytest.mark.parametrize("unit", ["Grad/sec", "m/s", "us"])
 def test_an_output_in_a_unit_of_another_kind_is_refused(unit):
     with pytest.raises(ValueError, match=r"flight\.p, of p, is in .* --unit p=UNIT"):
-        check_units(PATH, {"p": source(unit)})
+        check_units(PATH, with_units({"p": source(unit)}, {}))
