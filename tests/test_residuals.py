@@ -133,3 +133,5 @@ def test_what_can_be_told_and_what_cannot_stand_side_by_side():
     assert narrow.headline() == (
         "records sine; traces left in q of lat; in p of lat none can be told: the band is too wide"
     )
+    beyond = replace(both, cross_band=np.array([[0.6], [0.6]]))  # that of q leaves it all the same
+    assert beyond.headline() == narrow.headline()

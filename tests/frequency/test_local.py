@@ -14,6 +14,7 @@ from casid.frequency.local import (
     EQUATIONS,
     QUADRATIC,
     _at_all,
+    _between_samples,
     _half_width,
     local_response,
 )
@@ -158,6 +159,17 @@ def test_noise_fed_back_above_a_sweep_is_no_direct_term(method):
     assert (leakage[:, 0] < 0.02 * omega / 2 + 3 * random[:, 0]).all()
     assert off[-1, 1] > 0.07  # half a sample of the direct term
     assert (leakage[:, 1] < 1.1 * off[:, 1] + 3 * random[:, 1]).all()
+
+
+def test_a_direct_term_that_cannot_be_seen_is_at_most_the_response_where_inputs_come_from():
+    rng, dt = np.random.default_rng(0), 0.02
+    u, y = rng.standard_normal((2, 4000, 1))  # noise alone: nothing is there at any frequency
+    record = Record(dt * np.arange(4000), u, y, ("lat",), ("p",), "noise", "zoh")
+    omega = np.array([1.0, 2.0, 4.0, 8.0])
+    G = np.array([4.0, 2.0, 1.0, 50.0])[:, None, None] + 0j  # the controller's inverse at last
+    direct = np.array([1 / 4, 1 / 2, 1.0, 1 / 50]) * omega * dt / 2
+    found = _between_samples([record], omega, G, 0, 5.0)[:, 0, 0]
+    np.testing.assert_allclose(found, np.hypot(direct, (omega * dt) ** 2 / 12), rtol=1e-9)
 
 
 def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():
