@@ -5,6 +5,7 @@ moves at random and who holds attitude and speed: nothing here is shared with ca
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -38,30 +39,31 @@ def path(rng, speed, duration, share, theta0=0.05, phi0=-0.05):
         waves = np.sin(omega * np.asarray(t)[..., None, None] + phase)
         return np.sum(size * waves, axis=-1) * (begin**2 * (3 - 2 * begin))[..., None]
 
+    def motion(t, x):
+        # Rates that hold the attitude, and accelerations that hold the speed.
+        phi, theta, _, u, v, w = x
+        m = moved(t).T
+        held = [0.25 * (each - one) for each, one in zip((u, v, w), level, strict=True)]
+        rates = m[0] - 0.7 * (phi - phi0), m[1] - 0.7 * (theta - theta0), m[2]
+        return *rates, m[3] - held[0], m[4] - held[1], m[5] - held[2]
+
     def body(t, x):
         phi, theta, _, u, v, w = x
-        m = np.moveaxis(moved(t), -1, 0)
-        p, q, r = m[0] - 0.7 * (phi - phi0), m[1] - 0.7 * (theta - theta0), m[2]
+        p, q, r, u_dot, v_dot, w_dot = motion(t, x)
         s, c = np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)
-        held = [0.25 * (each - one) for each, one in zip((u, v, w), level, strict=True)]
-        ax = G * np.sin(theta) - r * v + q * w - held[0] + m[3]
-        ay = -G * s - p * w + r * u - held[1] + m[4]
-        az = -G * c - q * u + p * v - held[2] + m[5]
-        return p, q, r, ax, ay, az
+        ax = u_dot + G * np.sin(theta) - r * v + q * w
+        return p, q, r, ax, v_dot - G * s - p * w + r * u, w_dot - G * c - q * u + p * v
 
     def slope(t, x):
-        phi, theta, _, u, v, w = x
-        p, q, r, ax, ay, az = body(t, x)
+        phi, theta = x[:2]
+        p, q, r, *accelerations = motion(t, x)
         turn = (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta)
-        return [
-            p + turn * np.sin(theta), q * np.cos(phi) - r * np.sin(phi), turn,
-            ax - G * np.sin(theta) + r * v - q * w,
-            ay + G * np.cos(theta) * np.sin(phi) + p * w - r * u,
-            az + G * np.cos(theta) * np.cos(phi) + q * u - p * v,
-        ]  # fmt: skip
+        attitude = p + turn * np.sin(theta), q * np.cos(phi) - r * np.sin(phi), turn
+        return [*attitude, *accelerations]
 
     start, span = [phi0, theta0, 0.3, *level], (-1.0, duration + 1.0)
-    states = solve_ivp(slope, span, start, rtol=1e-8, atol=1e-9, dense_output=True).sol
+    exact = {"method": "DOP853", "rtol": 1e-8, "atol": 1e-9}
+    states = solve_ivp(slope, span, start, dense_output=True, **exact).sol
 
     def signals(t):
         x = states(t)
@@ -82,7 +84,8 @@ def flown(
             share = np.where(np.arange(6) % 3 == k % 3, 1.0, 0.1)
         signals = path(rng, REGIMES[regime], duration, share)
         t = dt * np.arange(round(duration / dt))
-        y = [signals(t - (late or {}).get(name, 0.0))[name] for name in outputs]
+        at = cache(lambda skew, t=t, signals=signals: signals(t - skew))
+        y = [at((late or {}).get(name, 0.0))[name] for name in outputs]
         y = [
             x + noise * NOISE[n] * rng.standard_normal(len(t))
             for n, x in zip(outputs, y, strict=True)

@@ -1,5 +1,7 @@
 """Flights that obey rigid-body kinematics exactly, seen through instruments with known errors."""
 
+from functools import cache
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -17,6 +19,7 @@ ERRORS = {  # scale, bias, skew
 }  # fmt: skip
 
 
+@cache
 def truth(seed, duration=40.0, dt=0.02):
     """True signals of one manoeuvre as functions of time, and the instants of the record."""
     rng = np.random.default_rng(seed)
@@ -28,31 +31,30 @@ def truth(seed, duration=40.0, dt=0.02):
         t = np.asarray(t)[..., None, None]
         return np.sum(size * np.sin(omega * (t - 2) + phase) * _begin(t), axis=-1)
 
+    def drawn(t, x):
+        # The speed is held near trim: by feedback, as a pilot would give.
+        (_, _, _, u, v, w), (x_move, y_move, z_move) = x, np.moveaxis(moves(t)[..., 3:], -1, 0)
+        return -0.3 * (u - 40) + x_move, -0.3 * v + y_move, -0.3 * (w - 2) + z_move
+
     def slope(t, x):
-        phi, theta, _, u, v, w = x
+        phi, theta = x[:2]
         p, q, r = moves(t)[:3]
-        # Specific forces that hold the speed near trim: feedback, as a pilot would give.
-        ax, ay, az = forces(t, x)
-        s, c, cth = np.sin(phi), np.cos(phi), np.cos(theta)
+        s, c = np.sin(phi), np.cos(phi)
         turn = q * s + r * c
-        return [
-            p + turn * np.tan(theta), q * c - r * s, turn / cth,
-            ax - G * np.sin(theta) + r * v - q * w,
-            ay + G * cth * s + p * w - r * u,
-            az + G * cth * c + q * u - p * v,
-        ]  # fmt: skip
+        return [p + turn * np.tan(theta), q * c - r * s, turn / np.cos(theta), *drawn(t, x)]
 
     def forces(t, x):
-        phi, theta, _, u, v, w = x
+        (phi, theta, _, u, v, w), (u_dot, v_dot, w_dot) = x, drawn(t, x)
         p, q, r = np.moveaxis(moves(t)[..., :3], -1, 0)
-        ax = G * np.sin(theta) - r * v + q * w - 0.3 * (u - 40) + moves(t)[..., 3]
-        ay = -G * np.cos(theta) * np.sin(phi) - p * w + r * u - 0.3 * v + moves(t)[..., 4]
-        az = -G * np.cos(theta) * np.cos(phi) - q * u + p * v - 0.3 * (w - 2) + moves(t)[..., 5]
+        ax = u_dot + G * np.sin(theta) - r * v + q * w
+        ay = v_dot - G * np.cos(theta) * np.sin(phi) - p * w + r * u
+        az = w_dot - G * np.cos(theta) * np.cos(phi) - q * u + p * v
         return ax, ay, az
 
     t = dt * np.arange(-25, round(duration / dt) + 25)
     start = [0.02, 0.05, 0.3, 40.0, 0.0, 2.0]
-    path = solve_ivp(slope, (t[0], t[-1]), start, rtol=1e-9, atol=1e-10, dense_output=True).sol
+    exact = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-10}
+    path = solve_ivp(slope, (t[0], t[-1]), start, dense_output=True, **exact).sol
 
     def signals(at):
         x = path(at)
@@ -73,10 +75,11 @@ def flight(seed=0, errors=None, noise=None, outputs=(*RATES, *FORCES, *STATES), 
     """A record of one manoeuvre; ``errors`` is {channel: (scale, bias, skew)}."""
     signals, t = truth(seed)
     rng = np.random.default_rng([seed, 1])
+    seen = cache(lambda skew: signals(t - skew))
     columns = []
     for channel in outputs:
         scale, bias, skew = (errors or {}).get(channel, (0.0, 0.0, 0.0))
-        true = signals(t - skew)[channel]
+        true = seen(skew)[channel]
         std = (noise or {}).get(channel, 0.0)
         columns.append((1 + scale) * true + bias + std * rng.standard_normal(len(t)))
     u = np.where(t > 2, 0.1, 0.0)[:, None]
