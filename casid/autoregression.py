@@ -93,8 +93,11 @@ def _regressed(X: Array, y: Array, seen: BoolArray, gone: Array) -> Array:
     U, s, Vt = np.linalg.svd(X, full_matrices=False)
     kept = s > 1e-10 * s[0]
     U, V = U[:, kept], Vt[kept].T / s[kept]
-    rows = [U[there] for there in seen.T]
-    normal = [(Q.T @ Q, Q.T @ x[there]) for Q, x, there in zip(rows, y.T, seen.T, strict=True)]
+    slopes = U.T @ np.where(seen, y, 0.0)
+    unseen = [U[~there] for there in seen.T]
+    normal = [
+        (np.eye(U.shape[1]) - Q.T @ Q, g) for Q, g in zip(unseen, slopes.T, strict=True)
+    ]  # U'U over the rows seen: columns of U are orthonormal
     theta, unsure = np.zeros((X.shape[1], y.shape[1])), np.zeros(X.shape[1])
     for _ in range(2):
         more = V.T @ (unsure[:, None] * V) + 1e-9 * np.eye(V.shape[1])
