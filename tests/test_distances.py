@@ -102,6 +102,7 @@ def test_a_black_box_that_measurements_contradict_is_no_fault_of_the_structure()
     assert [row.fault for row in agreed.rows] == [row.far for row in agreed.rows]
 
 
+@pytest.mark.slow
 def test_a_black_box_is_as_far_from_the_truth_as_its_own_errors():
     # All of the distance is the black box's, as the truth is measured without errors to speak of.
     exact = measured(1.0, TRUTH.system(), error=1e-4)

@@ -57,6 +57,7 @@ def inside(band, G):
     return np.mean([(low <= np.abs(G)) & (np.abs(G) <= high), turned])
 
 
+@pytest.mark.slow
 def test_the_band_of_a_structure_that_lacks_something_holds_the_truth():
     G = TRUTH.system().response(OMEGA)
     plain = response_band(fitted("wrong"), OMEGA)
@@ -327,6 +328,7 @@ def test_draws_have_the_size_and_the_memory_that_are_stated():
     assert "std at 10 rad/s" in made._repr_html_()
 
 
+@pytest.mark.slow
 def test_an_error_is_that_of_channels_and_parameters_not_of_their_places():
     fit, whole = fitted("wrong"), error("wrong")
     turned = replace(
@@ -347,6 +349,7 @@ def test_an_error_is_that_of_channels_and_parameters_not_of_their_places():
         mode_bands(fit, error=replace(whole, free_names=("a",) * len(whole.free_names)))
 
 
+@pytest.mark.slow
 def test_a_reading_far_off_in_a_few_draws_is_no_standard_deviation():
     # Far above the band a small part of the response is missed, and the phase is read there too.
     fit, missed = fitted("true"), error("true")

@@ -102,7 +102,7 @@ def test_every_start_but_few_ends_in_the_same_place():
     assert np.sum(costs < 1.001 * fit.cost) >= 6
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_half_of_twenty_starts_of_64_parameters_end_in_the_best_place():
     frf = frequency_response(uh60.sweeps(seed=0), omega=np.geomspace(0.4, 12, 40))
     fit = derivid(uh60.structure(), frf, starts=20)
@@ -168,6 +168,7 @@ def test_cramer_rao_and_insensitivity_come_from_the_hessian_of_the_cost():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [0.003, 0.03])
 def test_errors_are_those_of_repeated_measurements(error):
     rng = np.random.default_rng(4)

@@ -122,7 +122,7 @@ def test_a_phase_that_comes_back_above_0_db_encircles_nothing():
     assert read.remarks == ()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_loops_said_to_encircle_the_critical_point_are_unstable_when_closed():
     rng, said = np.random.default_rng(4), 0
     for _ in range(500):

@@ -178,7 +178,7 @@ def test_python_control_has_the_same_rational_part():
     np.testing.assert_allclose(fit.to_control()(1j * 2.0), fit.response(np.array([2.0]))[0])
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.filterwarnings("ignore::casid.DataWarning")
 def test_no_order_fits_worse_than_one_degree_less():
     # A pole on a zero makes them equal; noise gives the solver minima beside the lowest.

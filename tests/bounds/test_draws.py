@@ -104,6 +104,7 @@ def test_what_is_drawn_begins_as_is_known(monkeypatch):
     np.testing.assert_allclose(y[..., 0].std(axis=0), SPREAD, rtol=4 / np.sqrt(800))
 
 
+@pytest.mark.campaign
 def test_initial_states_are_drawn_about_what_is_known_of_them():
     # Of x₀ ~ N(1, s²) y is N(e, σ² I + s² e eᵀ) with e = exp(a t), whose slope by a is t e.
     e = np.exp(A * T)

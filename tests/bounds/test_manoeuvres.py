@@ -118,6 +118,7 @@ def test_a_candidate_that_fails_everywhere_leaves_the_others_in_their_order():
     assert once.best == "b"  # of those that failed least
 
 
+@pytest.mark.slow
 def test_states_that_follow_the_record_gain_nothing_by_its_noise():
     """Noise alone, that states and biases of a structure take a part of: expected is its size."""
     model = TRUTH.with_vector(TRUTH.vector() - [0.5, 0, 0, 0, 0, 0, 0])
@@ -149,6 +150,7 @@ def test_what_is_left_out_is_not_there():
     assert Without((1,))(tuple("abc")) == ("a", "c")
 
 
+@pytest.mark.slow
 def test_a_structure_that_lacks_a_derivative_is_not_enough():
     candidates = {"whole": TRUTH, "bare": Bare()}
     way = OutputError(domain="frequency")
@@ -174,6 +176,7 @@ def test_a_manoeuvre_is_judged_by_the_fit_that_has_not_seen_it():
     assert np.abs(seen / expected - 1).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_what_is_no_solution_predicts_nothing():
     found = compare_structures({"whole": TRUTH}, RECORDS, estimator=Stuck(), execution=HERE)
     assert np.isinf(found.errors).all()
@@ -190,6 +193,7 @@ def test_the_noise_of_outputs_that_share_no_sample_is_theirs():
     np.testing.assert_allclose(found.noise, stated, rtol=0.3)  # a median of 80 lines
 
 
+@pytest.mark.slow
 def test_one_structure_in_several_ways():
     ways = {"time": OutputError(interval=2.0), "frequency": OutputError(domain="frequency")}
     found = compare_structures(dict.fromkeys(ways, TRUTH), RECORDS, estimator=ways, execution=HERE)
@@ -243,6 +247,7 @@ def test_manoeuvres_are_left_out_one_by_one_or_in_two_groups_or_more():
         _parts([names[:2], ["x"]], RECORDS)
 
 
+@pytest.mark.slow
 def test_a_record_without_one_of_the_outputs_is_predicted_in_the_others():
     y = RECORDS[1].y.copy()
     y[:, -1] = np.nan

@@ -39,6 +39,7 @@ def test_the_profile_of_a_linear_problem_is_the_parabola_of_its_covariance():
     assert len(found.to_csv().splitlines()) == 6
 
 
+@pytest.mark.slow
 def test_the_interval_allows_for_correlated_residuals_and_does_not_depend_on_the_values():
     # Noise of a first-order process with the white noise's variance.
     rng, r = np.random.default_rng(2), record()
@@ -69,6 +70,7 @@ def test_the_interval_is_exact_when_the_noise_is_estimated_too():
     np.testing.assert_allclose(found.intervals["b"], [free[1] - half, free[1] + half], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_grid_over_two_parameters_gives_the_interval_of_each():
     free, covariance, _, _ = solved()
     sigma = np.sqrt(np.diag(covariance))

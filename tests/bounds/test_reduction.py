@@ -69,6 +69,7 @@ def test_the_cost_may_rise_by_the_share_allowed_only():
     assert not none.steps[-1].accepted
 
 
+@pytest.mark.slow
 def test_protected_parameters_stay_and_a_run_can_be_replayed():
     assert reduce_structure(Mixture(), DATA, rule=ReductionRule(protect=["d"])).held == {}
     first = reduce_structure(Mixture(), DATA)

@@ -136,6 +136,7 @@ def test_scatter_is_the_unbiased_standard_deviation_and_coverage_counts_interval
     assert found.coverage == pytest.approx(2 / 3)  # 1 ± 1.18 and 2 ± 0.2, not 4.5 ± 1.96
 
 
+@pytest.mark.slow
 def test_what_a_prior_tells_scatters_too():
     # A prior that tells nearly all there is of a: its own deviation is what a is known to.
     std = 0.1 * expected()[0]

@@ -42,6 +42,7 @@ def test_units_of_combinations_do_not_matter(fit):
     assert len(small) == 2
 
 
+@pytest.mark.campaign
 def test_the_likelihood_ratio_is_distributed_as_the_weights_say(fit):
     # Estimates drawn with the true covariance; the ratio is the quadratic form of the information.
     A = np.array([[1.0, -2.0, 0.0], [0.0, 1.0, 3.0]])

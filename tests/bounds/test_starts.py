@@ -9,7 +9,7 @@ from casid import Execution, multistart
 HERE = Execution(executor=Inline())
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_all_starts_of_a_linear_problem_end_in_one_minimum():
     found = multistart(Mixture(), [record()], starts=4, spread=1.0)
     assert found.agreeing == 4

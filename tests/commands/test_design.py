@@ -33,6 +33,7 @@ draws = 4
 """
 
 
+@pytest.mark.slow
 def test_the_studys_table_says_what_is_asked_for_and_options_come_first(tmp_path):
     study = write_study(tmp_path)
     study.write_text(study.read_text() + TABLE)

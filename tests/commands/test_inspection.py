@@ -154,6 +154,7 @@ def test_a_channel_without_samples_is_no_reason_to_fail():
     assert any("p never moves" in said for said in found.advice)
 
 
+@pytest.mark.slow
 def test_kinematics_is_part_of_the_advice():
     record = flight(0, {"p": (0.1, 0.0, 0.0)}, NOISE, ("p", "q", "r", "phi", "theta"))
     found = inspect_records([record])
@@ -256,6 +257,7 @@ def looped(seed):
     return Record(t, u, y, ("lat",), ("p", "phi"), f"loop {seed}", hold="zoh")
 
 
+@pytest.mark.slow
 def test_shares_from_outside_are_those_of_records_in_line():
     # A rate that comes late looks like feedback.
     records = [looped(seed) for seed in (1, 2)]
@@ -266,6 +268,7 @@ def test_shares_from_outside_are_those_of_records_in_line():
     assert shares[1] == pytest.approx(shares[0], abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [3, 5, 8])
 def test_a_scrap_of_a_record_beside_late_ones_is_no_reason_to_fail(samples):
     late = [looped(seed).shift({"p": 0.08}) for seed in (1, 2)]

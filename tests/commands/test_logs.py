@@ -16,6 +16,7 @@ def imported(tmp_path_factory):
     return path, run(path)
 
 
+@pytest.mark.slow
 def test_the_command_lists_topics_channels_delays_and_stretches(imported):
     path, result = imported
     assert result.exit_code == 0, result.output

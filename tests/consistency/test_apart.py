@@ -18,6 +18,7 @@ def late(names, lag, seed=21):
     return flight(seed, dict.fromkeys(names, (0.0, 0.0, lag)), NOISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.05, 0.2])
 @pytest.mark.parametrize("names", [VELOCITIES, ATTITUDES], ids=["velocities", "attitudes"])
 def test_what_is_late_by_itself_is_told_and_moves_alone(names, lag):
@@ -36,6 +37,7 @@ def test_what_is_late_by_itself_is_told_and_moves_alone(names, lag):
     assert kinematic_check(record.shift(moves)).consistent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [VELOCITIES, ATTITUDES], ids=["velocities", "attitudes"])
 def test_a_late_reference_is_no_place_of_accelerometers(names):
     # At 40 m/s velocities 0.1 s late read as a lever of -4 m where only forces are delayed.
@@ -44,6 +46,7 @@ def test_a_late_reference_is_no_place_of_accelerometers(names):
     assert max(check.place_error) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "lag"),
     [
@@ -66,7 +69,7 @@ HEADED = (*bodies.WHOLE, "psi")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lag", [0.06, -0.06])
+@pytest.mark.parametrize("lag", [0.06, pytest.param(-0.06, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("names", [("phi", "theta"), ("phi",), ("theta",), ("psi",)], ids="-".join)
 def test_attitudes_of_one_source_late_beside_others_are_named_and_no_rate_is(names, lag):
     records = bodies.dirty(bodies.flown(106, late=dict.fromkeys(names, lag), outputs=HEADED), 106)
@@ -123,6 +126,7 @@ def in_steps(hold, late=0, dt=0.04, seed=5):
     return Record(t, stick[:, None], np.column_stack(y), ("col",), names, hold=hold)
 
 
+@pytest.mark.slow
 def test_a_force_that_follows_held_inputs_at_once_is_half_a_sample_early_and_not_skewed():
     check = kinematic_check(in_steps("zoh"))
     (az,) = (each for each in check.channels if each.channel == "az")

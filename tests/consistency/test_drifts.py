@@ -104,7 +104,7 @@ def test_what_grows_is_integrated_by_parts():
     np.testing.assert_allclose(found, exact, atol=2e-5)  # fourth order inside, less at the ends
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("outputs", [ANGLES, WHOLE], ids=len)
 def test_drifts_scatter_by_their_standard_errors(outputs):
     drift = dict.fromkeys(ATTITUDES, 1e-3)

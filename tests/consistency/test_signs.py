@@ -28,6 +28,7 @@ def named(said, name):
     return own or said.startswith(f"{name} has the opposite sign")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*RATES, *ATTITUDES, *SPEEDS, *FORCES])
 def test_one_channel_upside_down_is_named_and_no_other(name):
     (said,) = kinematic_check(reversed_in(flown(100, count=2), name)).remarks
@@ -41,7 +42,10 @@ def test_it_is_named_without_velocities_where_records_move_single_axes(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("regime", ["hover", "slow", "fast"])
+@pytest.mark.parametrize(
+    "regime",
+    ["slow", *(pytest.param(each, marks=pytest.mark.campaign) for each in ("hover", "fast"))],
+)
 @pytest.mark.parametrize("name", WHOLE)
 def test_dirty_records_of_any_speed_name_it_too(name, regime):
     (said,) = kinematic_check(dirty(reversed_in(flown(101, regime), name), 101)).remarks

@@ -29,6 +29,7 @@ def relative(response, system):
     return response.G / system.response(response.omega) - 1
 
 
+@pytest.mark.slow
 def test_bias_is_that_of_the_windows_bandwidth():
     """A Hann window averages G over its bandwidth: the bias is G''/2 times 4π²/(3T²)."""
     rng = np.random.default_rng(3)
@@ -62,6 +63,7 @@ def test_random_error_is_the_scatter_over_realisations(method, runs):
     assert np.mean(phase / stated) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_stated_errors_hold_with_few_windows():
     """Lengths are weighed by their errors: one that is too small by chance must not lead."""
     rng, omega, z = np.random.default_rng(17), np.geomspace(2.0, 12.0, 16), []
@@ -91,6 +93,7 @@ def test_coherence_is_the_share_of_the_output_that_the_input_explains():
     np.testing.assert_allclose(found.multiple_coherence, found.coherence[:, :, 0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_errors_on_the_linear_helicopters_sweeps_are_those_stated(swept):
     truth = uh60.oracle().response(OMEGA)
     scores = []
@@ -199,6 +202,7 @@ def test_windows_too_short_or_lossy_are_not_taken_for_inputs_that_move_together(
     assert not any("together" in each for each in said)
 
 
+@pytest.mark.slow
 def test_several_windows_are_nearer_over_the_whole_band_than_any_one(swept):
     truth = uh60.oracle().response(OMEGA)
 
@@ -235,7 +239,7 @@ def spoiled(record, rng, share=0.01, gaps=2, length=0.5):
     return dataclasses.replace(record, y=y)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_losses_cost_next_to_nothing_and_the_stated_error_covers_what_they_do(swept):
     truth, rng = uh60.oracle().response(OMEGA), np.random.default_rng(0)
     size, inside = [], []

@@ -239,7 +239,7 @@ def test_short_records_beside_a_long_one_do_not_blur_what_that_resolves():
     assert together < alone
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_stated_errors_hold_in_every_fifth_of_the_band_and_are_smaller_than_of_windows():
     omega = np.geomspace(0.4, 12.0, 40)
     truth = uh60.oracle().response(omega)

@@ -75,6 +75,7 @@ def test_attitudes_that_come_late_are_told_and_offered_and_change_no_share(tmp_p
     assert {*kinematic_check(raw).shifts} == {"p", "q"}  # early, as much
 
 
+@pytest.mark.slow
 def test_one_stretch_is_divided_and_none_takes_the_longest_record(tmp_path, monkeypatch):
     path = tmp_path / "short.ulg"
     path.write_bytes(ulog(12.0))
@@ -122,6 +123,7 @@ def test_logs_that_cannot_make_a_study_are_refused_in_words(tmp_path, write, sai
     assert not (tmp_path / "log").exists()
 
 
+@pytest.mark.slow
 def test_units_that_a_log_does_not_state_are_told_and_unknown_ones_refused(tmp_path):
     path = tmp_path / "log.tdms"
     said = WRITERS["flight.tdms"](12.0)
@@ -162,6 +164,7 @@ def test_the_drafted_study_finds_the_aircraft(tmp_path):
     assert {each.word for each in outcome.verdicts} == {"good"}
 
 
+@pytest.mark.slow
 def test_whatever_stops_an_import_names_the_log(tmp_path, monkeypatch):
     """Here records too short to be moved by what kinematics asks for."""
     path = tmp_path / "flight.ulg"
@@ -239,7 +242,7 @@ def recorded(path, record):
     ],
     ids=["good", "theta", "velocities", "attitudes"],
 )
-@pytest.mark.parametrize("detrend", ["first", "mean"])
+@pytest.mark.parametrize("detrend", [pytest.param("first", marks=pytest.mark.campaign), "mean"])
 @pytest.mark.slow
 def test_a_drafted_study_judges_as_the_records_of_the_log_are_judged(
     tmp_path, late, upside_down, begin, detrend

@@ -28,6 +28,7 @@ class Channels:
         self.inputs, self.outputs = system.inputs, system.outputs
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, 10_000), st.integers(1, 6), st.integers(1, 3), st.integers(1, 3), st.booleans()
 )

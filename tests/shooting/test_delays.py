@@ -149,9 +149,10 @@ def test_what_is_known_of_a_delay_stays_as_it_nears_the_end_of_its_stretch(short
     assert found == pytest.approx(np.sum(slope**2 / np.diag(R)), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("steps", "start"),
-    [((0.02,), 0.11), pytest.param((0.02, 0.04), 0.11, marks=pytest.mark.slow)],
+    [((0.02,), 0.11), pytest.param((0.02, 0.04), 0.11, marks=pytest.mark.campaign)],
 )
 def test_no_fit_is_less_likely_than_with_a_jumping_delay_held_at_its_truth(steps, start):
     truth, records = Heave(), heaved(steps=steps)
@@ -189,6 +190,7 @@ def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
     assert len(ends) > passed.sum()
 
 
+@pytest.mark.slow
 def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
     rng, records = np.random.default_rng(5), []
     for name, steps in (("even", np.full(400, H)), ("uneven", rng.uniform(0.5, 1.5, 400) * H)):

@@ -35,7 +35,7 @@ from casid.shooting.ways import choose_interval
 # ---- data ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_holes_irregular_sampling_and_records_of_any_length_are_no_obstacle():
     def retold(record):
         """The same flight for the input between these samples, holes where they were."""

@@ -63,7 +63,7 @@ def test_noise_in_a_band_counts_less_there():
     assert errors[0] < 0.5 * errors[1]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_errors_are_as_small_as_stated():
     z = []
     for seed in range(30):

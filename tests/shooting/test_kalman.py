@@ -157,7 +157,7 @@ def test_turbulence_that_steps_from_output_error_miss_is_not_taken_for_still_air
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.campaign), 3])
 def test_turbulence_that_seems_to_drive_another_state_is_found_out(seed):
     # From output error alone the search ends where noise drives the attitude, up to 70 of
     # log-likelihood worse, with derivatives eight stated errors off.
@@ -171,7 +171,7 @@ def test_turbulence_that_seems_to_drive_another_state_is_found_out(seed):
     assert np.sqrt(fit.notes.process_noise[0]) == pytest.approx(0.3, rel=0.25)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_noise_that_the_records_do_not_show_ends_at_none():
     # From the guess in turbulence it stays at .26 m/s/√s, as likely as none but for .33.
     case = replace(cases()["4 states, 4 outputs"], N=200)

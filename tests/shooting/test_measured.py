@@ -157,7 +157,7 @@ def short_sweep(rng, phase):
     return Record(t, u[:, None], y, Bank.inputs, Bank.outputs, f"sweep {phase}")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.filterwarnings("ignore:.*finer than a record")
 def test_a_joint_estimate_with_a_short_sweep_is_as_good_as_it_says():
     # 25 s hold ten lines near a frequency: errors of single points are hardly known.

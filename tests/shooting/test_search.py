@@ -175,6 +175,7 @@ def held_upright(N, rng, dt=0.05):
     return Record(dt * np.arange(N), u[:, None], y, ("lon",), ("q", "w"), f"{N} samples")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [8, 18, 19])
 def test_a_neighbour_that_leads_into_a_hollow_is_left(seed):
     # Steps from a fit of an unstable aircraft may end at a bound, and much less likely than it.

@@ -138,7 +138,7 @@ def test_intervals_of_two_seconds_of_data_cover_what_they_claim():
     assert 0.90 < coverage(errors, std) < 0.985
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_corrected_intervals_cover_what_unmodelled_rotor_dynamics_leave():
     # What the structure can know is its best parameters for such flights: those of forty.
     many = [rotor_flight(1000 + seed, np.random.default_rng([9, seed])) for seed in range(40)]
@@ -154,7 +154,7 @@ def test_corrected_intervals_cover_what_unmodelled_rotor_dynamics_leave():
     assert 0.89 < coverage(errors, std) < 0.98
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_turbulence_biases_output_error_but_not_the_filter():
     case = cases()["2 states, 2 outputs"]
 

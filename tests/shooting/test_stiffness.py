@@ -93,7 +93,7 @@ def noisy(seed, truth=-500.0):
 
 # By an own likelihood (Radau, initial states free) a from -500 to -20000 costs 0.06 at most for the
 # second of these; where the first ends, at the limit of Runge-Kutta's method, 0.05.
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_where_the_method_diverges_an_estimate_is_no_estimate():
     with pytest.raises(ConvergenceError, match=r"more than the data do.*mostly of x") as raised:
         output_error(Lag(), noisy(0), biases=False)

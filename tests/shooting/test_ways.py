@@ -133,7 +133,14 @@ def thrusted(seed, lag, k=8.0, d=0.02):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "lag"), [(1, 0.012), (2, 0.012), (4, 0.008)])
+@pytest.mark.parametrize(
+    ("seed", "lag"),
+    [
+        (1, 0.012),
+        pytest.param(2, 0.012, marks=pytest.mark.campaign),
+        pytest.param(4, 0.008, marks=pytest.mark.campaign),
+    ],
+)
 def test_a_lag_far_shorter_than_the_guess_is_found(seed, lag):
     # One step a sample follows the guess's lag; on the way to the true one it diverges.
     fit = output_error(Thrust(), thrusted(seed, lag), biases=False)

@@ -123,7 +123,7 @@ def swept(seed):
     return records
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_chosen_order_follows_a_delay_that_roughly_refined_models_miss():
     # Of models of two states more that are refined in one round, some leave more than fewer states.
     omega = np.geomspace(6.0, 12.0, 8)

@@ -171,7 +171,7 @@ def test_one_records_order_does_not_follow_its_noise():
     assert np.median(orders) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_of_noisy_records_the_likeliest_refined_model_names_the_pole():
     # Held-out records are predicted by models before their refinement, which ends at a lower
     # maximum from the slow poles that these prefer; now and then it does not.
