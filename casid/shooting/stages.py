@@ -172,15 +172,19 @@ def _parts(
 def _add_breaks(
     held: DelayedInput, order: int, first: int, eta: Array, into: tuple[Array, Array]
 ) -> None:
-    """Add what the breaks of one record change, whose samples begin at ``first``."""
+    """Add what the breaks of one record change, whose samples begin at ``first``.
+
+    One at a step's end is in one of the two: it still moves with its delay, as one within.
+    """
     mine = np.flatnonzero(held.jump)
     row, channel, jump = first + held.step[mine], held.channel[mine], held.jump[mine]
     length, substeps = eta[row], into[0].shape[1]
+    own = substeps - 1 - np.clip(held.rest[mine] // length, 0, substeps - 1)
     for s in range(substeps):
         c = held.rest[mine] - (substeps - 1 - s) * length  # from the break to the step's end
-        inside, behind = (c > 0) & (c < length), c >= length
-        u, late = _inside(np.clip(c, 0.0, length), length, order)
-        past = (np.maximum(c - length, 0.0)[:, None] + NODES * length[:, None]) ** (order - 1)
+        inside, behind = own == s, own < s
+        u, late = _inside(c, length, order)
+        past = ((c - length)[:, None] + NODES * length[:, None]) ** (order - 1)
         u = np.where(behind[:, None], past, u * inside[:, None])
         late = np.where(behind[:, None], -float(order - 1), late * inside[:, None])
         for target, values in zip(into, (u, late), strict=True):

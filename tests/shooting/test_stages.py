@@ -56,6 +56,21 @@ def test_derivatives_by_the_delay_are_those_of_differences(hold):
     np.testing.assert_allclose(at(tau)[1], difference, atol=1e-6 * np.abs(difference).max())
 
 
+@pytest.mark.parametrize("late", [1.0, 2.0])
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_breaks_on_samples_move_with_their_delay_like_those_between(hold, late):
+    u, step, within = np.random.default_rng(3).standard_normal((30, 1)), 1e-6, np.array([1.5 * H])
+
+    def at(tau):
+        held = delayed_input(H * np.arange(30), u, np.array([tau]), hold, within)
+        found = stage_inputs([held], [hold], np.full(30, H), (2, 1), ())
+        return found.u, found.late
+
+    difference = (at(late * H + step)[0] - at(late * H - step)[0]) / (2 * step)
+    found = at(late * H)[1]
+    np.testing.assert_allclose(found, difference, atol=1e-6 * np.abs(difference).max())
+
+
 LATE = np.array([0.3, 0.3, 2.75]) * H  # two of the inputs come together
 
 
