@@ -193,6 +193,8 @@ class MatrixFunction:
         self._order = scipy.sparse.csr_array(order, shape=(len(free.index), len(self._used)))
         bent = ca.which_depends(tau, lam, 2, True)
         self.linear_delays: BoolArray = ~np.array(bent, dtype=bool)  # (nu,)
+        # (nu,) which inputs outputs may feel at once, whatever the direct terms are just now
+        self.direct: BoolArray = ca.DM(ca.sparsify(D).sparsity(), 1).full().any(axis=0)
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
         self._parts = self._split(np.array(sparse.sparsity().get_triplet(), dtype=int))
         self._last: tuple[bytes, Matrices] | None = None

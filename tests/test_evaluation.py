@@ -159,3 +159,9 @@ def test_a_delay_is_linear_whose_slopes_are_the_same_at_every_parameter():
     assert found.tolist() == [True, True, False, False, False]
     held = MatrixFunction(free_parameters(Ways(), fixed=("more",))).linear_delays
     assert held.tolist() == [True, True, True, False, False]
+
+
+def test_inputs_act_at_once_where_a_direct_term_is_written_whatever_its_value():
+    assert MatrixFunction(free_parameters(Coupled(k=0.0))).direct.tolist() == [False, True]
+    none = free_parameters(Coupled(k=0.0), fixed=["k"])
+    assert not MatrixFunction(none).direct.any()

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.intersample import ROUNDING, DelayedInput, delayed_input
 from casid.record import Record
 from casid.shooting.stepping import Breaks, collect_breaks
@@ -47,10 +47,14 @@ class Held:
 
 
 class Delayed:
-    """The delayed inputs of records at whatever matrices; the last ones are kept."""
+    """The delayed inputs of records at whatever matrices; the last ones are kept.
 
-    def __init__(self, records: Sequence[Record]) -> None:
-        self._records, self._within = records, np.full(records[0].nu, np.nan)
+    ``direct`` (nu,) are those that outputs may feel at once.
+    """
+
+    def __init__(self, records: Sequence[Record], direct: BoolArray) -> None:
+        self._records, self._direct = records, direct
+        self._within = np.full(records[0].nu, np.nan)
         self._step = common_step(records)
         self._last: tuple[bytes, Held] | None = None
         self._stretch: tuple[bytes, Held] | None = None
@@ -94,7 +98,7 @@ class Delayed:
         """
         late = m.tau_lam.any(axis=1)
         if record.hold == "zoh":
-            late &= ~m.D.any(axis=0)
+            late &= ~self._direct
         own = np.where(late, np.maximum(m.tau, LATE * record.dt), m.tau)
         # Stretches are those between whole samples, which an unevenly sampled record has none of.
         return np.where(np.isnan(self._within) | (not record.equidistant), own, self._within)

@@ -30,7 +30,7 @@ class Heard(NamedTuple):
     tau: Array  # (nu,) [s]
     slopes: Array  # (nf, nu) their derivatives by λ
     linear: BoolArray  # (nu,) whether these are the same at every λ
-    direct: BoolArray  # (nu,) whether outputs feel the input at once
+    direct: BoolArray  # (nu,) whether outputs may feel the input at once
 
     @property
     def own(self) -> BoolArray:
@@ -212,8 +212,7 @@ def _delays(programme: Programme, lam: Array) -> Iterator[Delay]:
 def heard(evaluator: Evaluator, lam: Array) -> Heard:
     """Delays at free values (nf,)."""
     m = evaluator.matrices(lam)
-    direct = np.asarray(m.D.any(axis=0) | m.D_lam.any(axis=(0, 2)))
-    return Heard(m.tau, m.tau_lam.T, evaluator.matrices.linear_delays, direct)
+    return Heard(m.tau, m.tau_lam.T, evaluator.matrices.linear_delays, evaluator.direct)
 
 
 def warn_of_jumps(records: Sequence[Record], delays: Heard) -> None:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.free import Free
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
@@ -155,6 +155,7 @@ class Flow:
         f, h = equations(x, u, full)
         self.f, self.h, self._free = Slopes(f, x, u, lam), Slopes(h, x, u, lam), free
         self.cut = cut(model)
+        self.direct: BoolArray = np.array(ca.which_depends(h, u, 1), dtype=bool)  # (nu,)
         stages, step = ca.SX.sym("stages", 3 * u.numel()), ca.SX.sym("step")
         first, middle, last = ca.vertsplit(stages, u.numel()) if u.numel() else [stages] * 3
         k1 = equations(x, first, full)[0]

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.free import Free
 from casid.intersample import ORDER
 from casid.nonlinear.coverage import reached
@@ -72,13 +72,18 @@ class NonlinearEvaluator(Evaluator):
     smoothings = 4
 
     def __init__(self, free: Free, layout: Layout, substeps: int | None = None) -> None:
-        super().__init__(free, layout)
         self.flow, self.model = Flow(free), cast("NonlinearModel", free.model)
+        super().__init__(free, layout)
         self._full = free.full
         self.lengths = layout.classes[layout.step]
         self.whole = substeps or first_steps(self, free.guess)
         self.shares = 1
         self._stages: tuple[bytes, Stages] | None = None
+
+    @property
+    def direct(self) -> BoolArray:
+        """See `Evaluator.direct`: of the equations, of which the reference is but one point."""
+        return self.flow.direct
 
     @property
     def substeps(self) -> int:

@@ -19,7 +19,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.free import Free
 from casid.intersample import DelayedInput, integrals
 from casid.shooting.delayed import Delayed
@@ -113,9 +113,14 @@ class Evaluator:
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
         self.nf = self.matrices.nf
         self.constants = [model.states.index(name) for name in model.constant_states]
-        self.delayed = Delayed(layout.records)
+        self.delayed = Delayed(layout.records, self.direct)
         self._steps: tuple[FilterMatrices, Gains | None, Steps] | None = None
         self._gains: tuple[bytes, bool, Gains] | None = None
+
+    @property
+    def direct(self) -> BoolArray:
+        """Which inputs (nu,) outputs may feel at once, at whatever parameters and states."""
+        return self.matrices.direct
 
     def within(self, delays: Array | None) -> Self:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""

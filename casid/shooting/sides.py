@@ -142,8 +142,7 @@ def heard(free: Free, lines: list[Lines], lam: Array) -> Heard:
     """Delays at free values (nf,)."""
     function = SpectralResiduals(free, lines).matrices
     m = function(lam)
-    direct = np.logical_or(m.blocks[3].any(axis=0), m.slopes[:, m.nx :, m.nx :].any(axis=(0, 1)))
-    return Heard(m.tau, m.dtau, function.linear_delays, np.asarray(direct))
+    return Heard(m.tau, m.dtau, function.linear_delays, function.direct)
 
 
 def _delays(free: Free, lines: list[Lines], lam: Array) -> Iterator[Delay]:

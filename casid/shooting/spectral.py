@@ -66,12 +66,20 @@ class SpectralResiduals:
         found = []
         for lines, weight in zip(self.lines, weights, strict=True):
             record = lines.record
-            S, rest = held_lines(_held(lines, m), record.N, len(lines.z))
+            S, rest = held_lines(self._held(lines, m), record.N, len(lines.z))
             key = (ORDER[record.hold], record.dt, *np.round(rest, 12))
             if key not in driven:
                 driven[key] = _driven(m, record.dt, rest, ORDER[record.hold])
             found.append(_residual(lines, weight, S, m, driven[key]))
         return found
+
+    def _held(self, lines: Lines, m: Matrices) -> DelayedInput:
+        """Delayed inputs of one record; a delay on its bound 0 counts as one to come."""
+        record, moves = lines.record, m.dtau.any(axis=0)
+        if record.hold == "zoh":
+            moves &= ~self.matrices.direct  # outputs jump there
+        within = np.where(moves, np.maximum(m.tau, LATE * record.dt), m.tau)
+        return delayed_input(record.t, record.u, m.tau, record.hold, within)
 
 
 def _residual(
@@ -97,15 +105,6 @@ def _residual(
         flat[at, felt] += _times(Z[at], direct_lam[:, felt])
     J *= W
     return _eliminated(E * lines.seen, W, J, T @ root)
-
-
-def _held(lines: Lines, m: Matrices) -> DelayedInput:
-    """Delayed inputs of one record; a delay on its bound 0 counts as one to come."""
-    record, moves = lines.record, m.dtau.any(axis=0)
-    if record.hold == "zoh":
-        moves &= ~m.blocks[3].any(axis=0)  # outputs jump there
-    within = np.where(moves, np.maximum(m.tau, LATE * record.dt), m.tau)
-    return delayed_input(record.t, record.u, m.tau, record.hold, within)
 
 
 def _gram(left: ComplexArray, right: ComplexArray) -> Array:

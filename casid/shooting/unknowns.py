@@ -165,7 +165,7 @@ class FilterFunction:
     def __init__(self, free: Free, more: GainUnknowns | NoiseUnknowns | None) -> None:
         self._matrices, self._more = MatrixFunction(free), more
         self._last: tuple[bytes, FilterMatrices] | None = None
-        self.linear_delays = self._matrices.linear_delays
+        self.linear_delays, self.direct = self._matrices.linear_delays, self._matrices.direct
         self.nf: int = self._matrices.nf + (0 if more is None else len(more.start))
 
     def __call__(self, unknowns: Array) -> FilterMatrices:

@@ -43,7 +43,7 @@ def _fitted(settings: Pbsid, task: Task) -> BlackBox:
     found = settings.fit(task.records)
     if isinstance(task.model, NonlinearModel) or not found.feedthrough.all():
         return found
-    rows = task.model.system().D.any(axis=1)
+    rows = np.unique(task.model.matrices().sparsity_out(3).row()).astype(int)  # those of D
     direct = {*FORCES, *np.array(task.model.outputs)[rows].tolist()}
     if direct <= {*FORCES}:
         return found

@@ -29,7 +29,7 @@ def test_what_moves_along_is_what_is_laid_out_anew(hold, sampling):
         records[1] = replace(records[1], t=2 * records[1].t)
     if sampling == "jittered":
         records[1] = jittered(records[1])
-    inputs = Delayed(records)
+    inputs = Delayed(records, FUNCTION.direct)
     for tau in np.array([1.3, 1.7, 1.0, 2.0, 0.0, 0.4, 1.9, 6.5]) * H:
         m = matrices(tau)
         found = inputs.at(m)
@@ -50,6 +50,12 @@ def test_what_moves_along_is_what_is_laid_out_anew(hold, sampling):
         np.testing.assert_allclose(mine.jumps, u.jumps, atol=1e-13 * np.abs(u.jumps).max())
 
 
+def test_steps_may_be_felt_at_once_whatever_the_direct_terms_are_just_now():
+    inputs = Delayed([record := replace(flown(seed=1), hold="zoh")], FUNCTION.direct)
+    (found,) = inputs.at(replace(matrices(0.0), D=0 * matrices(0.0).D)).inputs
+    np.testing.assert_array_equal(found.value, record.u)
+
+
 def test_within_a_stretch_nothing_is_laid_out_again(monkeypatch):
     calls = []
 
@@ -58,7 +64,7 @@ def test_within_a_stretch_nothing_is_laid_out_again(monkeypatch):
         return delayed_input(*arguments)
 
     monkeypatch.setattr(delayed, "delayed_input", counted)
-    inputs = Delayed([flown(seed=1), flown(seed=2)])
+    inputs = Delayed([flown(seed=1), flown(seed=2)], FUNCTION.direct)
     for tau in np.array([1.1, 1.5, 1.9, 2.0]) * H:
         inputs.at(matrices(tau))
     assert len(calls) == 2
@@ -69,7 +75,7 @@ def test_within_a_stretch_nothing_is_laid_out_again(monkeypatch):
 def test_delays_may_pass_samples_without_the_breaks():
     # Ordered as for 1.5 samples, a delay of 2.2 is the continuation of what is below two.
     record = flown(seed=1)
-    inputs = Delayed([record]).within(np.array([1.5 * H, np.nan]))
+    inputs = Delayed([record], FUNCTION.direct).within(np.array([1.5 * H, np.nan]))
     (found,) = inputs.at(matrices(2.2 * H)).inputs
     at = matrices(2.2 * H).tau
     expected = delayed_input(record.t, record.u, at, record.hold, np.array([1.5 * H, 0.0]))

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown
+from truths.felt import Felt, Slight, felt
+from truths.felt import H as SAMPLE
 from truths.heave import Heave, heaved
 from truths.late_pair import Against, Alike, Longer, Pair, Twice, paired, scanned
 
@@ -53,6 +55,20 @@ def test_a_free_delay_of_whole_samples_is_right_to_a_tenth_of_one(structure, hol
     )
     assert fit.success
     assert abs(fit.model.tau / H - delay) < 0.1
+
+
+@pytest.mark.parametrize("structure", [Felt, Slight])
+@pytest.mark.parametrize("late", [0.0, 1.0])
+@pytest.mark.parametrize("start", [0.0, 0.6])
+def test_a_nonlinear_structure_s_delay_of_whole_samples_is_found(structure, late, start):
+    # The information of the delay is that of q alone, on both ends of its stretch.
+    fit = output_error(
+        structure(tau=start * SAMPLE), felt(structure, late * SAMPLE, 0.01), biases=False
+    )
+    assert fit.success
+    assert abs(fit.model.tau / SAMPLE - late) < 0.04
+    np.testing.assert_allclose([fit.model.k, fit.model.g], [2.0, 1.5], rtol=0.05)
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.R)), 0.01, rtol=0.15)
 
 
 def stretches(model, hold):

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from truths.felt import Felt, felt
 from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, integrated, steps, swung
 from truths.thrust import Saturating
 
@@ -31,6 +32,13 @@ def test_a_simulation_is_scipys(hold):
     exact = integrated(TRUTH, record.t, record.u, hold, [0.2, 0.5])
     found = simulate(TRUTH, record, {"q": 0.2, "theta": 0.5})
     np.testing.assert_allclose(found.y, exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+
+
+def test_what_is_not_late_is_felt_at_once_though_not_to_first_order_at_the_reference():
+    record = felt(Felt, 0.0)
+    found = simulate(Felt(), record, {"q": 0.0})
+    np.testing.assert_allclose(found.y, record.y, rtol=0, atol=1e-6 * np.abs(record.y).max())
+    assert validate({"true": Felt()}, [record]).fit["true"].min() > 99.99
 
 
 def test_a_simulation_that_runs_away_is_told():
