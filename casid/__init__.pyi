@@ -1,13 +1,12 @@
 """Public names, read by type checkers and by casid/__init__.py."""
 
 from .bands import (
-    HandlingBand as HandlingBand,
     ModeBand as ModeBand,
     ResponseBand as ResponseBand,
-    handling_band as handling_band,
     mode_bands as mode_bands,
     response_band as response_band,
 )
+from .bandwidth import HandlingBand as HandlingBand, handling_band as handling_band
 from .baseline.accuracy import DerividNotes as DerividNotes
 from .baseline.derivid import Derivid as Derivid, derivid as derivid
 from .baseline.handling import (

@@ -1,4 +1,4 @@
-"""What the standard errors of a fit make of its response, its modes and its handling qualities.
+"""What the standard errors of a fit make of its response and its modes.
 
 First order: the covariance J C Jᵀ of a function of the parameters, J its derivatives by central
 differences of a thousandth of each standard error, C the covariance that `Fit.std_error` is read
@@ -9,29 +9,21 @@ Two poles that may be a pair or both real have no derivatives where they meet: t
 models drawn from C.
 """
 
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
 
 from casid.arrays import Array, ComplexArray
-from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.checks import check_level
 from casid.display import Shown, counted
 from casid.eigenmodes import Mode, deviations, may_meet, modes, pole_figures
 from casid.embedding import StructureError, missed_quantile, missed_square
 from casid.fit import AnyFit
-from casid.frequency.response import FrequencyResponse
 from casid.model import Model
 from casid.propagation import drawn_models, first_order, known_errors, spread
 from casid.threads import one_thread
 
-DRAWS = 100  # of what a structure misses
-FAR = 4.0  # standard deviations of readings that belong elsewhere
-OFTEN = 0.05  # of the draws, for which a remark says so
 NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
 EQUAL = 1e-4  # distance of poles, relative to them, that is that of rounding in a multiple one
 SAME = np.e - 1  # share of a pole within which a black box's is the same mode
@@ -129,34 +121,6 @@ class ModeBand(Shown):
         return f"{self.mode.name}: pole {pole.real:.3g} ± {self.real_std:.2g}{turn} 1/s (1σ)"
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class HandlingBand(Shown):
-    """Bandwidth and phase delay of a fit with standard deviations.
-
-    Parameters
-    ----------
-    bandwidth, bandwidth_std : float
-        [rad/s], ADS-33.
-    phase_delay, phase_delay_std : float
-        [s].
-    remarks : tuple of str
-        What to know before believing the numbers, and why one is missing (NaN).
-    """
-
-    bandwidth: float
-    bandwidth_std: float
-    phase_delay: float
-    phase_delay_std: float
-    remarks: tuple[str, ...] = ()
-
-    def headline(self) -> str:
-        """Both, with their standard deviations, or why not."""
-        told = f"bandwidth {self.bandwidth:.3g} ± {self.bandwidth_std:.2g} rad/s"
-        if np.isfinite(self.phase_delay):
-            told += f", phase delay {self.phase_delay:.3g} ± {self.phase_delay_std:.2g} s"
-        return "; ".join((f"{told} (1σ)", *self.remarks))
-
-
 @one_thread
 def response_band(
     fit: AnyFit, omega: Array, *, level: float = 0.95, error: StructureError | None = None
@@ -182,9 +146,7 @@ def response_band(
     ValueError
         A fit without covariance; a level or a frequency that makes no sense.
     """
-    omega = np.atleast_1d(np.asarray(omega, dtype=float))
-    if not len(omega) or not ((omega > 0) & np.isfinite(omega)).all():
-        raise ValueError("omega: expected finite frequencies above 0 rad/s")
+    omega = checked_frequencies(omega)
     check_level(level, "share")
     center = fit.model.system().response(omega)
     unit = np.where(center == 0, 1.0, center)
@@ -205,6 +167,14 @@ def response_band(
         outputs=fit.model.outputs,
         missed=0.0 if error is None else _as_normal(level) * error.of(fit).at(omega, center) / size,
     )
+
+
+def checked_frequencies(omega: Array) -> Array:
+    """Frequencies (K,); ValueError for what is none."""
+    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    if not len(omega) or not ((omega > 0) & np.isfinite(omega)).all():
+        raise ValueError("omega: expected finite frequencies above 0 rad/s")
+    return omega
 
 
 def _as_normal(level: float) -> float:
@@ -275,113 +245,3 @@ def _beside(poles: ComplexArray, error: StructureError) -> Array:
         missed_square((theirs - own) ** 2 - noise, np.sqrt(2) * noise, error.sure)
     )
     return off
-
-
-@one_thread
-def handling_band(
-    fit: AnyFit,
-    pair: tuple[str, str],
-    omega: Array,
-    *,
-    error: StructureError | None = None,
-    **reading: Any,  # noqa: ANN401 - as `handling_qualities` takes them
-) -> HandlingBand:
-    """Bandwidth and phase delay of a fit's attitude response with their standard deviations.
-
-    Of a nonlinear structure's fit they are those of the linearisation at its reference condition.
-
-    Parameters
-    ----------
-    fit : Fit
-        With a covariance.
-    pair : (output, input)
-        Attitude, or rate, and stick.
-    omega : (K,) array
-        Frequencies [rad/s] to read, beyond twice the one where the phase passes -180°.
-    error : StructureError
-        What the structure misses, from `structure_error`: its part comes from 100 draws.
-    **reading
-        ``kind`` ("attitude" or "rate"), ``sign``, ``attitude_command`` of `handling_qualities`.
-
-    Raises
-    ------
-    ValueError
-        A fit without covariance, an open loop, and what `handling_qualities` raises.
-    """
-    if reading.get("kind") == "loop":
-        raise ValueError(
-            'kind="loop": expected "attitude" or "rate"; handling_qualities reads the margins of a '
-            "loop, of each of sample_models for their spread"
-        )
-
-    def qualities(G: ComplexArray) -> HandlingQualities:
-        return handling_qualities(_exact(fit.model, omega, G), pair, **reading)
-
-    def read(G: ComplexArray) -> Array:
-        found = qualities(G)
-        return np.array([found.bandwidth, found.phase_delay])
-
-    def of(model: Model) -> Array:
-        return read(model.system().response(omega))
-
-    error = None if error is None else error.of(fit)
-    std, G = spread(fit, of), fit.model.system().response(omega)
-    said: tuple[str, ...] = ()
-    if error is not None:
-        drawn = _drawn(read, G, error.drawn(omega, G, DRAWS))
-        ends = np.array([_typical(column[np.isfinite(column)]) for column in drawn.T])
-        wide = np.ptp(ends, axis=1) / 2
-        std, said = np.hypot(std, wide), _elsewhere(drawn, ends.mean(axis=1), wide)
-    found, (of_bandwidth, of_delay) = qualities(G), std.tolist()
-    errors = {"bandwidth_std": of_bandwidth, "phase_delay_std": of_delay}
-    read_off = {name: getattr(found, name) for name in ("bandwidth", "phase_delay")}
-    return HandlingBand(**read_off, **errors, remarks=(*found.remarks, *said))
-
-
-def _typical(values: Array) -> Array:
-    """Between which values as many are as within a standard deviation of a normal number, (2,)."""
-    if not len(values):
-        return np.full(2, np.nan)
-    return np.asarray(np.quantile(values, scipy.special.ndtr([-1.0, 1.0])))
-
-
-def _elsewhere(drawn: Array, center: Array, wide: Array) -> tuple[str, ...]:
-    """That of draws (n, 2) many could not be read, or elsewhere: no deviation says that."""
-    # Where a phase comes near a line again, a small change of it makes a large one of the reading.
-    off = ~(np.abs(drawn - center) <= FAR * np.maximum(wide, 1e-300)) & ~np.isnan(center)
-    count = DRAWS - len(drawn) + int(off.any(axis=1).sum())
-    if count <= OFTEN * DRAWS:
-        return ()
-    return (
-        f"of {DRAWS} responses that what the structure misses allows, {count} have no bandwidth or "
-        "phase delay near these: the standard deviations are of the others",
-    )
-
-
-def _drawn(read: Callable[[ComplexArray], Array], G: ComplexArray, errors: ComplexArray) -> Array:
-    """What is read of a response with each of its errors, where anything is."""
-    found = []
-    for error in errors:
-        with suppress(ValueError):  # a phase that never passes -180°
-            found.append(read(G + error))
-    if len(found) < len(errors) / 2:
-        raise ValueError(
-            "what the structure misses may be as large as the response itself: neither bandwidth "
-            "nor phase delay is known; try a richer structure"
-        )
-    return np.array(found)
-
-
-def _exact(model: Model, omega: Array, G: ComplexArray) -> FrequencyResponse:
-    """A response in a model's channels as a measured one without error."""
-    ones = np.ones(G.shape)
-    return FrequencyResponse(
-        omega=omega,
-        G=G,
-        coherence=ones,
-        random_error=0 * ones,
-        inputs=model.inputs,
-        outputs=model.outputs,
-        input_std=np.ones(G.shape[2]),
-        output_std=np.ones(G.shape[1]),
-    )

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
-from scipy.optimize import brentq
 from truths.closed_roll import Roll as ClosedRoll
 from truths.closed_roll import noisy
 from truths.shown import values
@@ -17,7 +16,6 @@ from casid import (
     Record,
     Rows,
     Scalar,
-    handling_band,
     match,
     mode_bands,
     output_error,
@@ -167,50 +165,6 @@ def test_bands_are_the_scatter_of_models_drawn_from_the_errors(rolling):
     size = np.log(np.abs([m.system().response(OMEGA)[:, 1, 0] for m in drawn]))
     found = response_band(rolling, OMEGA).magnitude_std[:, 1, 0]
     np.testing.assert_allclose(found, size.std(axis=0), rtol=0.12)
-
-
-class Attitude(Model):
-    """Bank angle from the stick: Llat e^(-τs) / (s (s - Lp))."""
-
-    states, inputs, outputs = ("p", "phi"), ("lat",), ("phi",)
-
-    Lp: Scalar = parameter(default=-2.0, lower=-20.0, upper=0.0, unit="1/s")
-    Llat: Scalar = parameter(default=4.0, lower=0.0, upper=50.0, unit="rad/s^2")
-    tau: Scalar = parameter(default=0.06, lower=0.0, upper=0.3, unit="s")
-
-    def A(self) -> Rows:
-        return [[self.Lp, 0], [1, 0]]
-
-    def B(self) -> Rows:
-        return [[self.Llat], [0]]
-
-    def delays(self) -> dict[str, Scalar]:
-        return {"lat": self.tau}
-
-
-def test_the_bandwidth_s_error_is_that_of_its_equation():
-    # -90° - atan(ω/|Lp|) - ωτ = -135° without the gain, which does not matter for the phase.
-    rng, t = np.random.default_rng(6), 0.05 * np.arange(800)
-    u = 0.1 * np.repeat(rng.choice([-1.0, 0.0, 1.0], 40), 20)[:, None]
-    u[-200:] -= u[:600].sum() / 200
-    y = Attitude().system().simulate(t, u) + 0.002 * rng.standard_normal((800, 1))
-    fit = output_error(Attitude(), Record(t, u, y, ("lat",), ("phi",), "steps"))
-
-    def bandwidth(Lp, tau):
-        return brentq(lambda w: np.pi / 4 - np.arctan(w / -Lp) - w * tau, 1e-3, 50.0)
-
-    order = [fit.free_names.index(name) for name in ("Lp", "tau")]
-    at, C, h = [fit["Lp"].value, fit["tau"].value], fit.covariance[np.ix_(order, order)], 1e-5
-    slopes = [(bandwidth(*(at + h * e)) - bandwidth(*(at - h * e))) / (2 * h) for e in np.eye(2)]
-    found = handling_band(fit, ("phi", "lat"), np.geomspace(0.2, 60.0, 2000), attitude_command=True)
-    assert found.bandwidth == pytest.approx(bandwidth(*at), rel=1e-4)
-    assert found.bandwidth_std == pytest.approx(np.sqrt(slopes @ C @ slopes), rel=0.02)
-    assert found.phase_delay_std > 0
-    short = handling_band(fit, ("phi", "lat"), np.geomspace(0.2, 8.0, 500))
-    assert np.isnan(short.phase_delay)
-    assert "lies beyond the grid: no phase delay" in short.headline()
-    with pytest.raises(ValueError, match='"loop": expected "attitude" or "rate"'):
-        handling_band(fit, ("phi", "lat"), OMEGA, kind="loop")
 
 
 def test_a_parameter_that_nothing_determines_is_told_where_its_error_is_missing():

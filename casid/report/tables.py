@@ -8,7 +8,8 @@ import jinja2
 import numpy as np
 
 from casid.arrays import Array
-from casid.bands import HandlingBand, ModeBand, ResponseBand
+from casid.bands import ModeBand, ResponseBand
+from casid.bandwidth import HandlingBand
 from casid.baseline.handling import HandlingQualities
 from casid.baseline.loes import TransferFunction
 from casid.bounds.compare import BoundsComparison
