@@ -174,14 +174,15 @@ def scatter_of_lines(
     return total
 
 
-def degrees(lines: Sequence[Lines], residuals: Sequence[Residual], covariance: Array) -> Array:
+def degrees(lines: Sequence[Lines], rows: Sequence[ComplexArray], covariance: Array) -> Array:
     """Degrees of freedom (nf,) of the variances that the lines' residuals tell of estimates.
 
-    Satterthwaite's, 2 (mean)² / variance of Σ c |E|²/Φ, with c what a line adds to a variance.
+    Satterthwaite's, 2 (mean)² / variance of Σ c |E|²/Φ, with c what a line adds to a variance: by
+    the ``rows`` (K, ny, nf) of every record that residuals of unit variance multiply.
     """
     total, square = np.zeros(len(covariance)), np.zeros(len(covariance))
-    for each, found in zip(lines, residuals, strict=True):
-        c = np.sum(np.abs(found.rows @ covariance) ** 2, axis=1)
+    for each, own in zip(lines, rows, strict=True):
+        c = np.sum(np.abs(own @ covariance) ** 2, axis=1)
         total += c.sum(axis=0)
         square += (c**2 / each.weight[:, None]).sum(axis=0)
     return np.asarray(total**2 / np.maximum(square, 1e-300))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, ComplexArray
 from casid.errors import ConvergenceError, warn
 from casid.estimates import (
     at_bounds,
@@ -40,6 +40,9 @@ from casid.shooting.spectrum import (
     coherent,
     contrast,
     degrees,
+    leverages,
+    noise_spectra,
+    powers,
     scatter_of_lines,
 )
 
@@ -145,7 +148,8 @@ def _insensitivity(state: State) -> Array:
 def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated: bool) -> Precision:
     """Precision of the free parameters; the robust one allows for correlated outputs.
 
-    And for spectra that are ``estimated``, of few lines.
+    And for spectra that are estimated, of few lines: those held if ``estimated``, else those of the
+    residuals that a given R leaves.
     """
     free, state, n = programme.residuals.free, programme.state(x), len(lam)
     if state is None:
@@ -161,7 +165,9 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
     scaled = uncertainty.bound(F, ties, alone)
     unknown = np.isinf(np.diag(scaled))
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
-    middle = _scatter(programme, state, lam) * unit
+    spectra = programme.spectra if estimated else _left(programme, state)
+    rows = _rows(programme, state, spectra)
+    middle = _scatter(programme, state, lam, spectra, rows) * unit
     robust = np.where(np.isfinite(scaled), known @ middle @ known, scaled)
     found = Precision(
         cramer_rao=scaled * unit,
@@ -170,11 +176,35 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
         collinear=uncertainty.collinearities(F, ties, free.names, alone),
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
-    return _allowing(found, known * unit, programme, state, lam) if estimated else found
+    return _allowing(found, known * unit, programme, state, lam, spectra, rows)
+
+
+def _left(programme: SpectralProgramme, state: State) -> tuple[NoiseSpectrum, ...]:
+    """Spectra of the residuals, whatever the programme holds."""
+    found = state.residuals
+    return noise_spectra(programme.residuals.lines, found, leverages(found, state.F))
+
+
+def _rows(
+    programme: SpectralProgramme, state: State, spectra: tuple[NoiseSpectrum, ...]
+) -> list[ComplexArray]:
+    """Derivatives, (K, ny, nf) of every record, that residuals of unit variance multiply.
+
+    In the cost's gradient, if these come of noise of the ``spectra``.
+    """
+    left = powers(spectra, programme.residuals.lines)
+    parts = zip(state.residuals, left, programme.powers, strict=True)
+    return [each.rows * np.sqrt(own / held)[:, :, None] for each, own, held in parts]
 
 
 def _allowing(
-    found: Precision, known: Array, programme: SpectralProgramme, state: State, lam: Array
+    found: Precision,
+    known: Array,
+    programme: SpectralProgramme,
+    state: State,
+    lam: Array,
+    spectra: tuple[NoiseSpectrum, ...],
+    rows: list[ComplexArray],
 ) -> Precision:
     """The precision with errors widened for a spectrum that is estimated, from few lines.
 
@@ -190,8 +220,8 @@ def _allowing(
     middle += programme.residuals.free.prior_scatter(lam)
     smooth = np.where(told, np.diag(found.covariance), 1.0)
     more = np.where(told, np.maximum(np.diag(known @ middle @ known) / smooth, 1.0), 1.0)
-    freedom = np.where(told, degrees(lines, state.residuals, known), np.inf)
-    if freedom.min() < FEW and contrast(programme.spectra) > COLOURED:
+    freedom = np.where(told, degrees(lines, rows, known), np.inf)
+    if freedom.min() < FEW and contrast(spectra) > COLOURED:
         few = ", ".join(np.array(programme.residuals.free.names)[freedom < FEW])
         warn(
             f"{METHOD}: the spectrum of the residuals rests on few lines where the records tell "
@@ -203,13 +233,19 @@ def _allowing(
     return replace(found, covariance=found.covariance * np.outer(wider, wider))
 
 
-def _scatter(programme: SpectralProgramme, state: State, lam: Array) -> Array:
+def _scatter(
+    programme: SpectralProgramme,
+    state: State,
+    lam: Array,
+    spectra: tuple[NoiseSpectrum, ...],
+    rows: list[ComplexArray],
+) -> Array:
     """Covariance (nf, nf) of the cost's gradient, residuals correlated across outputs."""
-    lines, found = programme.residuals.lines, state.residuals
-    across = coherent(lines, found, programme.powers, state.F)
+    lines = programme.residuals.lines
+    across = coherent(lines, state.residuals, powers(spectra, lines), state.F)
     total = np.zeros_like(state.F)
-    for each, S in zip(found, across, strict=True):
-        left = each.rows.reshape(-1, len(total))
-        right = (S @ each.rows).reshape(-1, len(total))
+    for each, S in zip(rows, across, strict=True):
+        left = each.reshape(-1, len(total))
+        right = (S @ each).reshape(-1, len(total))
         total += left.real.T @ right.real + left.imag.T @ right.imag
     return (total + total.T) / 2 + programme.residuals.free.prior_scatter(lam)
