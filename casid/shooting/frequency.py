@@ -19,10 +19,11 @@ from casid.arrays import Array
 from casid.assembly import evaluated
 from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.lines import Lines
+from casid.shooting.secants import Secants
 from casid.shooting.spectral import Residual, SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 
-ROUNDS = 20  # of solves
+ROUNDS = 40  # of solves
 ROUGH = 1e-4  # tolerance of all but the last
 SETTLED = 2e-2  # standard errors that a round may move the estimates and be the last but one
 TAIL = 0.1  # of the information about a parameter that the rounds before the last may leave out
@@ -184,6 +185,16 @@ class SpectralOutcome:
         """Free values (nf,)."""
         return self.solution.x * self.programme.scales
 
+    @property
+    def F(self) -> Array:
+        """Information (nf, nf); NaN where the model has a pole on a line."""
+        state, n = self.programme.state(self.solution.x), len(self.solution.x)
+        return np.full((n, n), np.nan) if state is None else state.F
+
+    def rests(self, step: Array) -> bool:
+        """Whether a step of free values (nf,) is no matter."""
+        return float(step @ self.F @ step) < SETTLED**2
+
 
 def search(
     residuals: SpectralResiduals,
@@ -197,15 +208,16 @@ def search(
     The first is warm if the start is hardly off the end of a ``last`` one.
 
     All but the last take only lines that carry information; without a ``last`` one the first weighs
-    them alike. ValueError: a start without residuals.
+    them alike. Slow ones are accelerated. ValueError: a start without residuals.
     """
     options = replace(options, ipopt=IPOPT | dict(options.ipopt))
-    lines, scales = residuals.lines, residuals.free.scale[residuals.free.index]
+    lines, free = residuals.lines, residuals.free
+    scales, limits = free.scale[free.index], (free.lower[free.index], free.upper[free.index])
     if held is not None:
         outcome = _round(SpectralProgramme(residuals, held, scales), start, last, options)
         return replace(outcome, settled=True)
     rough = replace(options, tolerance=max(ROUGH, options.tolerance))
-    spectra, lam, highest = white(lines), start, 0.0
+    spectra, lam, highest, secants = white(lines), start, 0.0, Secants()
     if last is None:  # what a poor start leaves is no noise: its spectrum would excuse it
         first = _round(SpectralProgramme(residuals, spectra, scales), start, None, rough)
         if first.solution.success:
@@ -220,9 +232,12 @@ def search(
             outcome = _round(SpectralProgramme(residuals, spectra, scales), lam, last, options)
             return replace(outcome, settled=True)
         highest = max(highest, reach(lines, taken, TAIL))
-        part = SpectralResiduals(residuals.free, [each.below(highest) for each in lines])
-        last = _round(SpectralProgramme(part, spectra, scales), lam, last, rough)
-        lam = last.lam
+        part = SpectralResiduals(free, [each.below(highest) for each in lines])
+        plan = options if secants.used else rough  # secants are of exact ends
+        last = _round(SpectralProgramme(part, spectra, scales), lam, last, plan)
+        ahead = np.clip(secants.ahead(lam, last.lam, last.F), *limits)
+        last = replace(last, settled=last.settled and last.rests(ahead - lam))
+        lam = ahead
         if not last.solution.success or last.rounds >= ROUNDS:
             whole = SpectralProgramme(residuals, spectra, last.programme.scales)
             return replace(last, programme=whole, settled=False)
@@ -240,9 +255,8 @@ def _round(
         prices = last.solution.multipliers_x * scales / last.programme.scales
         warm = prices, last.solution.multipliers_g
     solution = programme.solve(lam / scales, options, rounds, warm)
-    state, step = programme.state(solution.x), solution.x * scales - lam
-    settled = state is not None and float(step @ state.F @ step) < SETTLED**2
-    return SpectralOutcome(programme, solution, iterations + solution.iterations, rounds, settled)
+    end = SpectralOutcome(programme, solution, iterations + solution.iterations, rounds, False)
+    return replace(end, settled=end.rests(end.lam - lam))
 
 
 def white(lines: list[Lines], R: Array | None = None) -> tuple[NoiseSpectrum, ...]:

@@ -106,7 +106,11 @@ def _fit(
     found = _precision(programme, solution.x, lam, estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
-    unsettled = f"the noise spectra have not settled after {outcome.rounds} rounds; give R"
+    unsettled = (
+        f"the noise spectra have not settled after {outcome.rounds} rounds, as where much is left "
+        'unexplained: add what the structure misses, estimate with domain="time", or give R, which '
+        "holds them white"
+    )
     more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
     success, status = verdict(solution, outcome.settled, unsettled, more, violated(free, lam))
     R = _variances(programme, solution.x)
