@@ -18,6 +18,7 @@ from casid.model import Bounds, M
 from casid.nonlinear.conditions import Trim, at_condition
 from casid.nonlinear.coverage import joined_spans
 from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.trims import warn_astray
 from casid.records import several
 from casid.subspace.pbsid import BlackBox
 
@@ -34,8 +35,8 @@ def fit_at_conditions(
     """Estimate a nonlinear structure from targets at flight conditions, ``{trim: target, ...}``.
 
     The result's model is the nonlinear structure; unknowns of the trims stand in its table. With
-    ``merged`` the estimator is given one measured response. ValueError: a linear structure, a
-    condition that is no `Trim`, none at all.
+    ``merged`` the estimator is given one measured response. A `DataWarning` tells of conditions far
+    from balance there. ValueError: a linear structure, a condition that is no `Trim`, none at all.
     """
     if not isinstance(model, NonlinearModel):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
@@ -54,6 +55,7 @@ def fit_at_conditions(
     chosen: Any = side_by_side(cast("list[FrequencyResponse]", targets)) if merged else targets
     fit = estimator.fit(linear, chosen, fixed=fixed, bounds=bounds)
     found = model.with_values_of(fit.model)
+    warn_astray(found, [each for each in conditions if not each.unknown])
     flown = joined_spans([found.reached_at(condition) for condition in conditions])
     return cast("Fit[M, Any]", replace(fit, model=found, notes=replace(fit.notes, covered=flown)))
 

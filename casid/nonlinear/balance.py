@@ -152,7 +152,7 @@ def balanced(
     """
     names, point = (*model.states, *model.inputs), np.concatenate(model.operating_point())
     usual = {n: trim.values.get(n, float(value)) for n, value in zip(names, point, strict=True)}
-    size, acts = _sizes(model, usual), balance_function(model)[1]
+    size, acts = move_sizes(model, usual), balance_function(model)[1]
     began = _began(model, trim, flown, size)
     z0 = np.array(list((usual | began).values()))
     sought = acts & [name not in trim.values or name in trim.unknown for name in names]
@@ -245,7 +245,7 @@ def _began(model: NonlinearModel, trim: Trim, flown: Array | None, size: Array) 
     return {name: value for name, value in began if name not in trim.values}
 
 
-def _sizes(model: NonlinearModel, start: Mapping[str, float]) -> Array:
+def move_sizes(model: NonlinearModel, start: Mapping[str, float]) -> Array:
     """What a move of each state and input counts by: the airspeed for velocities, at least 1."""
     units = UNITS | dict(model.units)
     speed = max([1.0, *(abs(start[name]) for name in airspeeds(model, start))])

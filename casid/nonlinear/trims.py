@@ -8,12 +8,20 @@ import scipy
 
 from casid.arrays import Array
 from casid.checks import check_known
+from casid.display import listed
 from casid.errors import ModelError, warn
-from casid.nonlinear.balance import APART, DETERMINED, balance_function, scattered
+from casid.nonlinear.balance import (
+    APART,
+    DETERMINED,
+    balance_function,
+    move_sizes,
+    scattered,
+)
 from casid.nonlinear.conditions import BALANCE, Trim
 from casid.nonlinear.expressions import resting
 from casid.nonlinear.model import NonlinearModel
 
+ASTRAY = 0.1  # of travel, rad or the airspeed, from balance: neither sensors nor parameters err so
 OUT_OF_BALANCE = 1e-2  # largest |dx/dt| of a reference condition that still counts as a trim
 
 
@@ -34,6 +42,40 @@ def warn_unbalanced(model: NonlinearModel, rests: str) -> None:
             f"{state} = {rate:.3g}, and {rests}: name a trim in its method reference, as find_trim "
             "finds it, or linearise at one by model.at(trim)"
         )
+
+
+def warn_astray(model: NonlinearModel, conditions: Sequence[Trim]) -> None:
+    """A `DataWarning` of conditions far from any balance of the structure.
+
+    To first order, and by the move of states and inputs that is least in their own sizes.
+    """
+    said = list(filter(None, (_astray(model, each) for each in conditions)))
+    if said:
+        warn(
+            f"{type(model).__name__} as estimated is far from balance at {listed(said, 3)}: "
+            "check these values and to which condition each target belongs, or call unknown what "
+            "was not measured"
+        )
+
+
+def _astray(model: NonlinearModel, condition: Trim) -> str:
+    """How far a condition is from balance, empty if it is near."""
+    names = (*model.states, *model.inputs)
+    usual = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))
+    at = {name: condition.values.get(name, value) for name, value in usual.items()}
+    function, acts = balance_function(model)
+    rows, size = resting(model.equations()), move_sizes(model, at) * acts
+    f, J = (part.full()[rows] for part in function(np.array(list(at.values())), model.vector()))
+    shares = np.linalg.lstsq(J * size, -f.ravel())[0]
+    worst = int(np.argmax(np.abs(shares)))
+    if not abs(shares[worst]) > ASTRAY:
+        return ""
+    rates = zip(itertools.compress(model.states, rows), f.ravel().tolist(), strict=True)
+    state, rate = max(rates, key=lambda each: abs(each[1]))
+    return (
+        f"{condition.name or 'a trim'} (d/dt {state} = {rate:.3g}, as if {names[worst]} were "
+        f"{(shares * size)[worst]:+.2g} from its {at[names[worst]]:.4g})"
+    )
 
 
 def find_trim(

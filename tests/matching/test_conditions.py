@@ -1,12 +1,13 @@
 """One nonlinear structure from targets at several flight conditions."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from truths.swing import SmallSwing, Swing
 
-from casid import ConvergenceError, FrequencyResponse, Trim, derivid, match
+from casid import ConvergenceError, DataWarning, FrequencyResponse, Trim, derivid, match
 
 TRUTH = Swing(Mq=-0.8, M=6.0, Mlon=8.0, tau=0.05)
 CONDITIONS = [
@@ -46,12 +47,22 @@ def test_measured_responses_at_three_conditions_give_the_truth():
     same(derivid(Swing(), measured, starts=3))
 
 
+@pytest.mark.filterwarnings("ignore:Swing as estimated is far from balance at steep")
 def test_conditions_tell_what_none_of_them_tells_alone():
     # With M sin(theta) and Mlon cos(theta) in the equations a trim about 90 deg says nothing of
     # the stick's moment; the match there leaves it where it was, both together find it.
     steep = replace(CONDITIONS[0], name="steep", values={"theta": np.pi / 2, "lon": 0.0})
     targets = {trim: TRUTH.at(trim).system() for trim in (CONDITIONS[0], steep)}
     same(match(Swing(), targets, norm="quadratic"))
+
+
+@pytest.mark.parametrize("estimate", [partial(match, norm="quadratic"), partial(derivid, starts=1)])
+def test_a_condition_whose_values_contradict_the_estimate_is_told(estimate):
+    measured = responses(np.geomspace(0.5, 10, 25))
+    wrong = replace(CONDITIONS[2], name="wrong", values={"theta": 1.1, "lon": 0.4})
+    measured[wrong] = measured.pop(CONDITIONS[2])
+    with pytest.warns(DataWarning, match=r"far from balance at .*wrong \(d/dt q = -"):
+        estimate(Swing(), measured)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from casid import (
     parameter,
 )
 from casid.nonlinear.balance import balanced
+from casid.nonlinear.trims import warn_astray
 from casid.shooting.simulation import simulate
 from models.longitudinal_aero import LongitudinalAero
 
@@ -191,3 +192,21 @@ def test_a_structure_of_nothing_but_positions_rests():
 
     assert find_trim(Drift(), {}, ["u"]).values["u"] == pytest.approx(3.0)
     assert balanced(Drift(), Trim(values={})).found == {"u": pytest.approx(3.0)}
+
+
+def test_a_condition_far_from_balance_is_told_by_its_least_move():
+    # Of q = 0, theta and lon, both of size 1, the least move to 6 sin(theta) = 8 cos(theta) lon.
+    lon, theta, truth = 6 * np.tan(0.5) / 8, 0.8, Swing(Mq=-0.8, M=6.0, Mlon=8.0)
+    rate = -6 * np.sin(theta) + 8 * np.cos(theta) * lon
+    slopes = np.array([-6 * np.cos(theta) - 8 * np.sin(theta) * lon, 8 * np.cos(theta)])
+    move = -rate * slopes / (slopes @ slopes)
+    assert abs(move[0]) > abs(move[1])
+    told = f"at gust (d/dt q = {rate:.3g}, as if theta were {move[0]:+.2g} from its 0.8):"
+    wrong, right = (
+        Trim(name=name, values={"theta": at, "lon": lon})
+        for name, at in (("gust", theta), ("60 kn", 0.55))
+    )
+    with pytest.warns(DataWarning) as said:
+        warn_astray(truth, [right, wrong])
+    assert told in str(said[0].message)
+    warn_astray(truth, [right])
