@@ -52,17 +52,28 @@ def stretches(records: Records) -> tuple[Record, ...]:
                 f"flight counts {'twice' if n == 2 else f'{n} times'}, and errors come out too "
                 f"small by up to √{n}; leave one in"
             )
-    for rate, angle in ATTITUDES.items():
-        odd = [(piece, ratio) for piece in pieces if (ratio := _unlike(piece, rate, angle))]
-        if odd:
-            piece, ratio = odd[0]
-            wrong, unit = (rate, "deg/s") if ratio > 1 else (angle, "deg")
-            warn(
-                f"record {piece.name!r}: {rate!r} turns {ratio:.3g} times as far as {angle!r} "
-                f"does; is {wrong!r} in {unit}? Rates are rad/s and angles rad here, units named "
-                "to read_csv or read_mat are converted"
-            )
+    for said in units_told(pieces):
+        warn(said)
     return pieces
+
+
+def units_told(records: Records) -> list[str]:
+    """A sentence on every rate that turns as far as its attitude only in other units."""
+    found = []
+    for rate, angle in ATTITUDES.items():
+        odd = ((record, _unlike(record, rate, angle)) for record in several(records))
+        name, ratio = next(((each.name, ratio) for each, ratio in odd if ratio), ("", 0.0))
+        if not ratio:
+            continue
+        ways = {rate: ("deg/s", "rad/s"), angle: ("deg", "rad")}
+        large, small = (rate, angle) if ratio > 1 else (angle, rate)
+        found.append(
+            f"record {name!r}: {rate!r} turns {ratio:.3g} times as far as {angle!r} does; is "
+            f"{large!r} in {ways[large][0]}, or {small!r} declared {ways[small][0]} and in "
+            f"{ways[small][1]}? Rates are rad/s and angles rad here, units named to read_csv or "
+            "read_mat are converted"
+        )
+    return found
 
 
 def steps_told(records: Records, inputs: Collection[str]) -> list[str]:

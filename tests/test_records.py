@@ -132,10 +132,14 @@ def turning(rate=1.0, angle=1.0):
 
 def test_degrees_per_second_beside_radians_are_suspected():
     degree = np.pi / 180
-    with pytest.warns(DataWarning, match=r"'roll': 'p' turns 57.\d times .* is 'p' in deg/s"):
+    with pytest.warns(
+        DataWarning, match=r"'roll': 'p' turns 57.\d times .* is 'p' in deg/s, or 'phi' decl"
+    ):
         stretches(turning(rate=degree))
-    with pytest.warns(DataWarning, match="is 'phi' in deg[?]"):
+    with pytest.warns(DataWarning, match="is 'phi' in deg, or 'p' declared deg/s and in rad/s[?]"):
         stretches(turning(angle=degree))
+    with pytest.warns(DataWarning, match="0.01.* or 'p' declared deg/s and in rad/s[?]"):
+        stretches(turning(rate=1 / degree))
     for sound in (turning(), replace(turning(), outputs=("q", "phi")), turning(rate=0.2)):
         stretches(sound)
     random = turning(rate=degree)

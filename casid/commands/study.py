@@ -25,7 +25,7 @@ from casid.frequency.estimation import SpectralAnalysis
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.record import Record
-from casid.records import steps_told
+from casid.records import steps_told, units_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
 from casid.stages.listing import STAGES, stages_in_words, tables_of_stages
@@ -298,9 +298,13 @@ def _describe(console: Console, study: Study) -> None:
     estimated = list({digest(each.u, each.y): each for each in both}.values())
     untold = () if again.told() else _untold(study, estimated)
     unread = () if again.told() else _unread(study, flights.get("frequency", ()))
-    for said in (*again.told(), *steps, *unread, *untold):
+    own = {digest(each.u, each.y) for each in estimated}
+    every = (each for records in flights.values() for each in records)
+    rest = {d: each for each in every if (d := digest(each.u, each.y)) not in own}
+    units = units_told(list(rest.values()))  # of the others it is a warning
+    for said in (*again.told(), *steps, *units, *unread, *untold):
         caution(console, said)
-    if again.told() or unread:
+    if again.told() or unread or units or units_told(estimated):
         console.print("Mend the records first.")
     else:
         console.print("Mend the structure first." if untold else "The study is in order.")

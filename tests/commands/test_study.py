@@ -163,6 +163,23 @@ def test_check_tells_what_the_records_cannot_tell_of_the_structure(tmp_path):
     assert "in order" not in said
 
 
+@pytest.mark.filterwarnings("always:.*times as far as")
+@pytest.mark.parametrize("name", ["3211", "random"])
+def test_check_of_records_in_units_unlike_is_not_in_order(tmp_path, name):
+    path, file = write_study(tmp_path), tmp_path / f"{name}.csv"
+    header, *rows = file.read_text().splitlines()
+    at = [cell.split()[0] for cell in header.split(",")].index("p")
+    cells = [row.split(",") for row in rows]
+    for row in cells:
+        row[at] = str(float(row[at]) * 3.14159265 / 180)
+    file.write_text("\n".join([header, *map(",".join, cells)]) + "\n")
+    result = casid("check", path)
+    said = " ".join(result.output.split())
+    assert result.exit_code == 0
+    assert said.count("or 'p' declared deg/s and in rad/s?") == 1
+    assert said.endswith("Mend the records first.")
+
+
 def test_check_tells_that_losses_leave_no_frequency_response(tmp_path):
     path = write_study(tmp_path)
     sweeps = '[records.frequency]\nfiles = ["sweep.csv"]'
