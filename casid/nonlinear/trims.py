@@ -61,17 +61,16 @@ def warn_astray(model: NonlinearModel, conditions: Sequence[Trim]) -> None:
 def _astray(model: NonlinearModel, condition: Trim) -> str:
     """How far a condition is from balance, empty if it is near."""
     names = (*model.states, *model.inputs)
-    usual = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))
-    at = {name: condition.values.get(name, value) for name, value in usual.items()}
-    function, acts = balance_function(model)
+    usual = zip(names, map(float, np.concatenate(model.operating_point())), strict=True)
+    at = {name: condition.values.get(name, value) for name, value in usual}
+    z, (function, acts) = np.array(list(at.values())), balance_function(model)
     rows, size = resting(model.equations()), move_sizes(model, at) * acts
-    f, J = (part.full()[rows] for part in function(np.array(list(at.values())), model.vector()))
+    f, J = (part.full()[rows] for part in function(z, model.vector()))
     shares = np.linalg.lstsq(J * size, -f.ravel())[0]
     worst = int(np.argmax(np.abs(shares)))
     if not abs(shares[worst]) > ASTRAY:
         return ""
-    rates = zip(itertools.compress(model.states, rows), f.ravel().tolist(), strict=True)
-    state, rate = max(rates, key=lambda each: abs(each[1]))
+    state, rate = imbalance(model, *np.split(z, [len(model.states)]))
     return (
         f"{condition.name or 'a trim'} (d/dt {state} = {rate:.3g}, as if {names[worst]} were "
         f"{(shares * size)[worst]:+.2g} from its {at[names[worst]]:.4g})"
