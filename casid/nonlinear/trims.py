@@ -63,8 +63,8 @@ def _astray(model: NonlinearModel, condition: Trim) -> str:
     names = (*model.states, *model.inputs)
     usual = zip(names, map(float, np.concatenate(model.operating_point())), strict=True)
     at = {name: condition.values.get(name, value) for name, value in usual}
-    z, (function, acts) = np.array(list(at.values())), balance_function(model)
-    rows, size = resting(model.equations()), move_sizes(model, at) * acts
+    z, function = np.array(list(at.values())), balance_function(model)[0]
+    rows, size = resting(model.equations()), move_sizes(model, at)
     f, J = (part.full()[rows] for part in function(z, model.vector()))
     shares = np.linalg.lstsq(J * size, -f.ravel())[0]
     worst = int(np.argmax(np.abs(shares)))

@@ -65,6 +65,15 @@ def test_a_condition_whose_values_contradict_the_estimate_is_told(estimate):
         estimate(Swing(), measured)
 
 
+def test_a_start_of_what_is_unknown_contradicts_nothing():
+    conditions = [replace(CONDITIONS[1], values={"theta": 0.5, "lon": 0.0}, unknown=("lon",))]
+    targets = {
+        own: TRUTH.at(trim).system()
+        for own, trim in zip([CONDITIONS[0], *conditions], CONDITIONS[:2], strict=True)
+    }
+    same(match(Swing(), targets, norm="quadratic"))
+
+
 @pytest.mark.parametrize(
     ("model", "data", "told"),
     [

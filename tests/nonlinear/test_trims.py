@@ -1,6 +1,7 @@
 """Trims found from the equations."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -210,3 +211,26 @@ def test_a_condition_far_from_balance_is_told_by_its_least_move():
         warn_astray(truth, [right, wrong])
     assert told in str(said[0].message)
     warn_astray(truth, [right])
+
+
+class Rocket(NonlinearModel):
+    """V' = T - d V²."""
+
+    states, inputs, outputs = ("V",), ("T",), ("V",)
+    units = MappingProxyType({"V": "m/s", "T": "m/s^2"})
+    d: Scalar = parameter(default=0.05, lower=0.0, upper=1.0, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [u.T - self.d * x.V**2]
+
+
+def test_moves_to_balance_count_by_the_airspeed_and_by_shares():
+    # V / 15 and T / 20 move alike where the slopes -2 d V = -1.5 and 1 times these sizes are.
+    rate, slopes = 20 - 0.05 * 15**2, np.array([-1.5 * 15, 20.0])
+    V, T = -rate * slopes / (slopes @ slopes) * [15, 20]
+    assert abs(V / 15) > abs(T / 20)
+    with pytest.warns(
+        DataWarning, match=rf"d/dt V = {rate:.3g}, as if V were \+{V:.2g} from its 15"
+    ):
+        warn_astray(Rocket(), [Trim(values={"V": 15.0, "T": 20.0})])
+    warn_astray(Rocket(), [Trim(values={"V": 19.5, "T": 20.0})])

@@ -41,3 +41,26 @@ def test_a_round_at_a_pole_ends_where_it_ends():
     secants, nowhere = Secants(), np.full((3, 3), np.nan)
     for _ in range(3):
         assert secants.ahead(np.zeros(3), GOAL, nowhere) is GOAL
+
+
+def test_rounds_past_a_kink_begin_anew():
+    # Another map from there on, whose rounds do not move as those before it.
+    rates, secants, begin = np.array([0.9, 0.8, 0.7]), Secants(), np.zeros(3)
+    for _ in range(3):
+        begin = secants.ahead(begin, GOAL + rates * (begin - GOAL), F)
+    far, left = 5 - 3 * GOAL, []
+    for _ in range(6):
+        left.append(np.linalg.norm(begin - far))
+        begin = secants.ahead(begin, far - 0.9 * rates * (begin - far), F)
+    assert left[-1] < 1e-9 * left[0]
+
+
+def test_two_rounds_are_mixed_for_the_least_move_by_its_information():
+    rates, secants = np.array([0.9, 0.8, 0.7]), Secants()
+    ends = [(1 - rates) * GOAL, (1 - rates**2) * GOAL]
+    secants.ahead(np.zeros(3), ends[0], F)
+    found = secants.ahead(ends[0], ends[1], F)
+    moves = np.array([ends[0], ends[1] - ends[0]])
+    change = moves[1] - moves[0]
+    share = change @ F @ moves[1] / (change @ F @ change)
+    np.testing.assert_allclose(found, ends[1] - share * (ends[1] - ends[0]))

@@ -220,6 +220,13 @@ def test_a_covariance_that_is_given_leaves_errors_alone():
     assert np.all(np.abs(errors - 1) < 0.3)
 
 
+def test_errors_are_those_of_the_noise_there_is_whatever_covariance_is_given():
+    R = np.diag([(2 * NOISE[name]) ** 2 for name in TRUTH.outputs])
+    fit = output_error(TRUTH, campaign(3, count=8), R=R, domain="frequency")
+    errors = np.array([fit[name].std_error / fit[name].cramer_rao for name in NAMES])
+    assert np.all(np.abs(errors - 0.5) < 0.1)
+
+
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
 def test_errors_of_coloured_noise_under_a_white_covariance_are_stated():
     R, a, z = np.diag([NOISE[name] ** 2 for name in TRUTH.outputs]), 0.9, []
