@@ -10,6 +10,7 @@ from truths.closed_roll import (
     campaign,
     with_response,
 )
+from truths.felt import Slight, felt
 
 from casid.free import free_parameters
 from casid.shooting.lines import transformed
@@ -18,10 +19,10 @@ from casid.shooting.spectral import SpectralResiduals
 CLEAN = campaign()
 
 
-def residuals(records, values):
+def residuals(records, values, model=TRUTH):
     lines = transformed(records)
     weights = [np.repeat(each.weight[:, None], each.Y.shape[1], 1) for each in lines]
-    return SpectralResiduals(free_parameters(TRUTH), lines)(values, weights)
+    return SpectralResiduals(free_parameters(model), lines)(values, weights)
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
@@ -44,3 +45,14 @@ def test_gradient_is_that_of_the_cost_without_transients(hold):
         gradient[i] = (ahead - behind) / (2 * step[i])
     analytic = sum(each.g for each in residuals(records, lam))
     np.testing.assert_allclose(analytic, gradient, rtol=1e-5)
+
+
+@pytest.mark.parametrize("start", [1.5, 0.0])
+def test_what_is_not_late_is_felt_at_once_also_from_no_direct_term_on(start):
+    # Outputs are linear in the direct term: one step from anywhere leads to it.
+    record, model = felt(Slight, 0.0), Slight().at({"q": 0.0, "e": 0.0})
+    assert model.parameter_names() == ("k", "g", "tau")
+    (found,) = residuals([record], np.array([2.0, start, 0.0]), model)
+    (left,) = residuals([record], np.array([2.0, 1.5, 0.0]), model)
+    assert start - found.g[1] / found.F[1, 1] == pytest.approx(1.5, rel=1e-9)
+    assert np.abs(left.E).max() < 1e-11 * np.abs(transformed([record])[0].Y).max()
