@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from truths.closed_roll import NOISE, TRUTH, T, excitation, with_response
+from truths.felt import Slight, felt
 from truths.heave import Heave, heaved
 from truths.late_pair import Against, Twice, paired
 from truths.structures import LateRoll
@@ -14,7 +15,7 @@ from benchmarks.between_samples import BOUNDS, H, flight
 from casid import Record, SolverOptions, output_error
 from casid.free import free_parameters
 from casid.shooting.lines import transformed
-from casid.shooting.sides import EDGE, FIRST, sides
+from casid.shooting.sides import EDGE, FIRST, heard, sides
 
 WHOLE = replace(TRUTH, tau=0.06)  # three samples
 
@@ -132,3 +133,11 @@ def test_no_lines_are_less_likely_than_with_a_jumping_delay_held_at_its_truth():
     fit = output_error(replace(truth, tlon=0.05, tcol=0.1 - 0.005), records, domain="frequency")
     assert fit.success
     assert fit.cost <= held.cost
+
+
+def test_outputs_jump_with_a_direct_term_that_begins_from_nothing():
+    model = replace(Slight().at({"q": 0.0, "e": 0.0}), g=0.0)
+    found = heard(free_parameters(model), transformed([felt(Slight, 0.0)]), model.vector())
+    assert found.direct.tolist() == [True]
+    other = heard(free_parameters(TRUTH), transformed(stepped(1)), TRUTH.vector())
+    assert other.direct.tolist() == [True, False]  # the pedals have none
