@@ -16,7 +16,7 @@ from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, VELOCITIES
 from casid.consistency.apart import known
 from casid.consistency.instruments import OWN, Instruments
-from casid.consistency.measured import Flight, read_later
+from casid.consistency.measured import Flight
 from casid.consistency.parting import reconstruct_level
 from casid.consistency.voting import SKEW, Late, apart, shared
 
@@ -96,8 +96,8 @@ def _at_once(flight: Flight, drift: Mapping[str, float]) -> Flight:
     """The flight, channels moved by a drift [s/s] from the start of its record."""
     t, values = flight.t, dict(flight.values)
     for name in {*drift} & {*values}:
-        pieces = scipy.interpolate.CubicSpline(t, values[name]).c
-        values[name], _ = read_later(pieces, -drift[name] * (flight.start + t), flight.dt)
+        moved = t - drift[name] * (flight.start + t)
+        values[name] = scipy.interpolate.CubicSpline(t, values[name])(moved.clip(t[0], t[-1]))
     return replace(flight, values=values)
 
 

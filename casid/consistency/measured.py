@@ -190,11 +190,18 @@ def white_noise(x: Array) -> float:
     return float(np.sqrt(np.mean(size[size <= limit] ** 2 if limit else size**2) / 20))
 
 
-def read_later(pieces: Array, skew: float | Array, dt: float) -> tuple[Array, Array]:
+def read_later(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:
     """A channel (4, N - 1) so much later, but within its flight, and its slope, (N,)."""
-    last = pieces.shape[1]
-    place = np.clip(np.arange(last + 1) + skew / dt, 0.0, last)
-    piece = np.minimum(place.astype(int), last - 1)
-    s = dt * (place - piece)
-    a, b, c, d = np.take(pieces, piece, axis=1)
-    return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c
+    # All samples lie alike between those of the channel: slices of it, and no look for pieces.
+    last, n = pieces.shape[1], int(np.floor(skew / dt))
+    first, end = np.clip([-n, last - n], 0, last + 1)
+    found = np.empty((2, last + 1))
+    for rows, part, s in (
+        (slice(first), pieces[:, :1], 0.0),
+        (slice(first, end), pieces[:, first + n : end + n], skew - n * dt),
+        (slice(end, None), pieces[:, -1:], dt),
+    ):
+        a, b, c, d = part
+        found[0, rows] = ((a * s + b) * s + c) * s + d
+        found[1, rows] = (3 * s * a + 2 * b) * s + c
+    return found[0], found[1]

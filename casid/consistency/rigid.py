@@ -1,12 +1,12 @@
 """Kinematics of a rigid body: what rates and specific forces make of attitudes and velocities."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import FORCES, RATES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.instruments import CLOCKS, OWN
 from casid.consistency.measured import Flight, read_later
 
@@ -22,9 +22,9 @@ WHOLE = NEEDED | {  # without which something is missing in it
     "phi": {"phi", "theta", *RATES},
     "theta": {"phi", "theta", "q", "r"},
 }
-TILT = 1e-5  # rad of a difference in place of a derivative
 
 Moved = Mapping[str, tuple[Array, Array]]  # channels and their slopes
+Values = Mapping[str, Array]
 Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
 
 
@@ -41,7 +41,7 @@ def terms_of(equation: str, flight: Flight, turned: Mapping[str, Array] | None =
     n = len(flight.values[equation])
     zero, one = np.zeros(n), np.ones(n)
     known = flight.values if turned is None else turned
-    phi, theta = (known.get(name, zero + flight.level.get(name, 0.0)) for name in ("phi", "theta"))
+    phi, theta = (known.get(name, zero + flight.level.get(name, 0.0)) for name in TURNED)
     s, c, tan = np.sin(phi), np.cos(phi), np.tan(theta)
     if equation == "phi":
         return {"p": one, "q": s * tan, "r": c * tan}, zero
@@ -54,6 +54,28 @@ def terms_of(equation: str, flight: Flight, turned: Mapping[str, Array] | None =
         "u": ({"ax": one, "r": v, "q": -w}, -GRAVITY * np.sin(theta)),
         "v": ({"ay": one, "p": w, "r": -u}, GRAVITY * np.cos(theta) * s),
         "w": ({"az": one, "q": u, "p": -v}, GRAVITY * np.cos(theta) * c),
+    }[equation]
+
+
+def tilted(equation: str, known: Values) -> dict[str, Array]:
+    """Slopes of the derivative of an attitude or velocity by attitudes and velocities in it.
+
+    ``known`` are φ and θ, and those channels of the equation that are there.
+    """
+    phi, theta = (known[name] for name in TURNED)
+    s, c, sin, cos = np.sin(phi), np.cos(phi), np.sin(theta), np.cos(theta)
+    p, q, r = (known.get(name, np.zeros(len(phi))) for name in RATES)
+    if equation in ATTITUDES:
+        turn, off = q * s + r * c, q * c - r * s
+        return {
+            "phi": {"phi": off * sin / cos, "theta": turn / cos**2},
+            "theta": {"phi": -turn},
+            "psi": {"phi": off / cos, "theta": turn * sin / cos**2},
+        }[equation]
+    return {
+        "u": {"theta": -GRAVITY * cos, "v": r, "w": -q},
+        "v": {"phi": GRAVITY * cos * c, "theta": -GRAVITY * sin * s, "w": p, "u": -r},
+        "w": {"phi": -GRAVITY * cos * s, "theta": -GRAVITY * sin * c, "u": q, "v": -p},
     }[equation]
 
 
@@ -84,26 +106,23 @@ class Sides:
     clocks: Array  # (3,) of `CLOCKS`, later than φ [s]; last, how late the one is that is alone
     place: Array  # (3,) of the accelerometers [m]
     alone: str = ""  # an attitude or velocity with a clock of its own
+    _at: dict[float, tuple[Moved, Moved, Moved, Values]] = field(default_factory=dict)
 
     def of(self, equation: str) -> tuple[list[Array], Array]:
         """Slopes by gain, bias, skew of its channels, by clocks and place; the side (N,)."""
         clock = self._clock(equation)
-        moved, turned = self._moved(clock), self._turned(clock)
-        angles, true = {name: x for name, (x, _) in turned.items()}, self._true(moved)
-        factors, _ = terms_of(equation, self.flight, angles)
+        moved, turned, true, known = self._seen(clock)
+        factors, _ = terms_of(equation, self.flight, known)
         slopes, later = [], {}
         for name in (each for each in self.table if each in factors):
             later[name] = factors[name] * true[name][1]
             slopes += [factors[name] * moved[name][0], -factors[name], later[name]]
-        f = self._sum(equation, angles, true)
-        for name, (x, rate) in turned.items():
-            more, less = (
-                self._sum(equation, angles | {name: x + by}, true) for by in (TILT, -TILT)
-            )
-            later[name] = (more - less) / (2 * TILT) * rate
+        tilts = tilted(equation, known)
+        later |= {name: tilts[name] * rate for name, (_, rate) in turned.items() if name in tilts}
         slopes += [self._later(equation, clock, later) for clock in CLOCKS]
         if self.alone:
             slopes.append(self._alone_later(equation, later))
+        f = self._sum(equation, known)
         if equation in VELOCITIES:
             arms = -lever_of(true)[VELOCITIES.index(equation)]
             return [*slopes, *arms.T], f + arms @ self.place
@@ -111,20 +130,33 @@ class Sides:
 
     def coupling(self, equation: str) -> Array:
         """What the side of an attitude has beyond φ' = p, θ' = q, ψ' = r, (N,)."""
-        clock = self._clock(equation)
-        angles = {name: x for name, (x, _) in self._turned(clock).items()}
-        true = self._true(self._moved(clock))
+        *_, known = self._seen(self._clock(equation))
         level = dict.fromkeys(TURNED, np.zeros(len(self.flight.t)))
-        return self._sum(equation, angles, true) - self._sum(equation, level, true)
+        return self._sum(equation, known) - self._sum(equation, {**known, **level})
 
-    def _moved(self, clock: float) -> Moved:
+    def _seen(self, clock: float) -> tuple[Moved, Moved, Moved, Values]:
+        """Channels at the instants of a clock, all that share it at once.
+
+        Rates and forces with their slopes; so attitudes and velocities that stand in products;
+        rates and forces without gain and bias; and all of them.
+        """
+        if clock not in self._at:
+            moved, turned = self._moved(clock), self._turned(clock)
+            true = self._true(moved)
+            n, level = len(self.flight.t), self.flight.level
+            tilt = {name: np.full(n, level.get(name, 0.0)) for name in TURNED}
+            now = {name: x for name, (x, _) in (true | turned).items()}
+            self._at[clock] = moved, turned, true, tilt | self.flight.values | now
+        return self._at[clock]
+
+    def _moved(self, clock: float) -> dict[str, tuple[Array, Array]]:
         """Rates and forces at the instants of a clock."""
         return {
             name: self._read(name, skew + self._late(name) + self._clock(self._owner(name)) - clock)
             for name, (_, _, skew) in self.table.items()
         }
 
-    def _turned(self, clock: float) -> Moved:
+    def _turned(self, clock: float) -> dict[str, tuple[Array, Array]]:
         """Attitudes likewise."""
         return {
             name: self._read(name, self._clock(name) - clock)
@@ -132,16 +164,15 @@ class Sides:
             if name not in self.table
         }
 
-    def _true(self, moved: Moved) -> Moved:
+    def _true(self, moved: Moved) -> dict[str, tuple[Array, Array]]:
         """Rates and forces without gain and bias."""
         return {
             name: (gain * moved[name][0] - bias, gain * moved[name][1])
             for name, (gain, bias, _) in self.table.items()
         }
 
-    def _sum(self, equation: str, angles: Mapping[str, Array], true: Moved) -> Array:
-        factors, f = terms_of(equation, self.flight, angles)
-        known = self.flight.values | {name: x for name, (x, _) in true.items()}
+    def _sum(self, equation: str, known: Values) -> Array:
+        factors, f = terms_of(equation, self.flight, known)
         return sum((a * known[name] for name, a in factors.items() if name in known), f)
 
     def _later(self, equation: str, clock: str, later: Mapping[str, Array]) -> Array:

@@ -4,10 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from truths.flights import NOISE, RATES, flight
 
 from casid.consistency.kinematics import kinematic_check
-from casid.consistency.measured import Flight, coarse_step, looked_at, signals, strays, white_noise
+from casid.consistency.measured import (
+    Flight,
+    coarse_step,
+    looked_at,
+    read_later,
+    signals,
+    strays,
+    white_noise,
+)
 
 
 def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
@@ -47,6 +56,16 @@ def test_total_values_come_back_and_speed_becomes_velocities():
     for name, true in zip("uvw", (u, v, w), strict=True):
         np.testing.assert_allclose(signals(seen, {}).values[name], true, atol=1e-9)
     assert "phi" not in signals(record.mask(np.ones(record.y.shape, dtype=bool)), {}).values
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.04, -0.04, 0.0533, -0.0071, 0.57, -0.57, 0.62, -0.64, 3.0])
+def test_a_channel_is_read_later_on_its_spline_and_never_beyond_its_flight(skew):
+    t = 0.02 * np.arange(31)
+    spline = CubicSpline(t, np.random.default_rng(2).standard_normal(31))
+    at = np.clip(t + skew, 0.0, t[-1])
+    found, slope = read_later(spline.c, skew, 0.02)
+    np.testing.assert_allclose(found, spline(at), atol=1e-11)
+    np.testing.assert_allclose(slope, spline(at, 1), atol=1e-9)
 
 
 def test_long_records_are_looked_at_in_part_and_short_pieces_not_at_all():

@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from casid.consistency.measured import Flight
-from casid.consistency.rigid import Sides, lever_of, terms_of
+from casid.consistency.rigid import Sides, lever_of, terms_of, tilted
 
 STATES, SENSED = ("phi", "theta", "psi", "u", "v", "w"), ("p", "q", "r", "ax", "ay", "az")
 
@@ -110,6 +110,23 @@ def test_slopes_are_those_of_differences(equation):
     np.testing.assert_allclose(
         np.array(slopes[: len(wanted)])[:, 200:-200], np.array(found)[:, 200:-200], atol=1e-3
     )
+
+
+@pytest.mark.parametrize("equation", STATES)
+def test_slopes_by_what_stands_in_products_are_those_of_differences(equation):
+    rng, h = np.random.default_rng(7), 1e-6
+    known = {name: 0.4 * rng.standard_normal(9) for name in (*SENSED, *STATES)}
+
+    def side(name, by):
+        at = known | {name: known[name] + by}
+        factors, rest = terms_of(equation, Flight(0.1, 0, at))
+        return rest + sum(one * known.get(each) for each, one in factors.items())
+
+    slopes = tilted(equation, known)
+    for name in STATES:
+        found = slopes.get(name, np.zeros(9))
+        wanted = (side(name, h) - side(name, -h)) / (2 * h)
+        np.testing.assert_allclose(found, wanted, atol=1e-8, err_msg=name)
 
 
 def test_without_heading_yaw_rate_is_read_against_bank():
