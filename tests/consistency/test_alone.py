@@ -21,8 +21,10 @@ def flown(seed, regime="cruise", **late):
     ("regime", "name", "lag"),
     [
         ("cruise", "phi", 0.08),  # p and a lever of -1.9 m were told
-        ("slow", "psi", 0.08),  # r, ay and a lever of 0.8 m
-        ("fast", "theta", 0.08),  # all attitudes, p, r and ay
+        # r, ay and a lever of 0.8 m
+        pytest.param("slow", "psi", 0.08, marks=pytest.mark.campaign),
+        # all attitudes, p, r and ay
+        pytest.param("fast", "theta", 0.08, marks=pytest.mark.campaign),
         ("cruise", "u", 0.3),  # ax
         ("slow", "v", 0.1),  # clocks of each record
         ("fast", "w", -0.1),  # all velocities and ax
@@ -42,7 +44,15 @@ def test_the_one_that_is_late_is_told_and_moves_alone(regime, name, lag):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late", [{"p": 0.08}, {"az": 0.08}, dict.fromkeys("uvw", 0.1)], ids=str)
+@pytest.mark.parametrize(
+    "late",
+    [
+        pytest.param({"p": 0.08}, marks=pytest.mark.campaign),
+        {"az": 0.08},
+        pytest.param(dict.fromkeys("uvw", 0.1), marks=pytest.mark.campaign),
+    ],
+    ids=str,
+)
 def test_what_a_rate_a_force_or_all_velocities_explain_is_laid_to_no_single_one(late):
     check = kinematic_check(flown(302, **late))
     assert len(check.remarks) == 1

@@ -19,7 +19,7 @@ def late(names, lag, seed=21):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lag", [0.05, 0.2])
+@pytest.mark.parametrize("lag", [0.05, pytest.param(0.2, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("names", [VELOCITIES, ATTITUDES], ids=["velocities", "attitudes"])
 def test_what_is_late_by_itself_is_told_and_moves_alone(names, lag):
     record = late(names, lag)
@@ -70,7 +70,16 @@ HEADED = (*bodies.WHOLE, "psi")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.06, pytest.param(-0.06, marks=pytest.mark.campaign)])
-@pytest.mark.parametrize("names", [("phi", "theta"), ("phi",), ("theta",), ("psi",)], ids="-".join)
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("phi", "theta"),
+        ("psi",),
+        pytest.param(("phi",), marks=pytest.mark.campaign),
+        pytest.param(("theta",), marks=pytest.mark.campaign),
+    ],
+    ids="-".join,
+)
 def test_attitudes_of_one_source_late_beside_others_are_named_and_no_rate_is(names, lag):
     records = bodies.dirty(bodies.flown(106, late=dict.fromkeys(names, lag), outputs=HEADED), 106)
     check = kinematic_check(records)

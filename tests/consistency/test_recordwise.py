@@ -54,7 +54,11 @@ def test_one_clock_of_all_records_is_none_of_each(clocks):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late", ["uvw", bodies.ANGLES], ids=["velocities", "attitudes"])
+@pytest.mark.parametrize(
+    "late",
+    [pytest.param("uvw", marks=pytest.mark.campaign), bodies.ANGLES],
+    ids=["velocities", "attitudes"],
+)
 def test_of_two_groups_the_one_that_is_late_is_told(late):
     # Rates agree with attitudes once either moves, gravity in the specific forces once one does.
     clocks = (0.1, -0.2, 0.15)

@@ -46,7 +46,9 @@ def test_bias_is_that_of_the_windows_bandwidth():
     np.testing.assert_allclose(mean, theory, atol=4 * 0.01 / np.sqrt(20) + 0.1 * abs(theory[0]))
 
 
-@pytest.mark.parametrize(("method", "runs"), [("local", 40), ("windows", 80)])
+@pytest.mark.parametrize(
+    ("method", "runs"), [("local", 40), pytest.param("windows", 80, marks=pytest.mark.campaign)]
+)
 @pytest.mark.slow
 def test_random_error_is_the_scatter_over_realisations(method, runs):
     rng = np.random.default_rng(4)

@@ -236,8 +236,10 @@ def recorded(path, record):
     ("late", "upside_down", "begin"),
     [
         ({}, None, None),
-        ({}, "theta", "theta has the opposite sign"),
-        (dict.fromkeys(bodies.SPEEDS, 0.06), None, "u v w are 0.0"),
+        pytest.param({}, "theta", "theta has the opposite sign", marks=pytest.mark.campaign),
+        pytest.param(
+            dict.fromkeys(bodies.SPEEDS, 0.06), None, "u v w are 0.0", marks=pytest.mark.campaign
+        ),
         (dict.fromkeys(bodies.ATTITUDES, 0.06), None, "phi theta are 0.0"),
     ],
     ids=["good", "theta", "velocities", "attitudes"],

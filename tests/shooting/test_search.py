@@ -176,7 +176,10 @@ def held_upright(N, rng, dt=0.05):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [8, 18, 19])
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(8, marks=pytest.mark.campaign), pytest.param(18, marks=pytest.mark.campaign), 19],
+)
 def test_a_neighbour_that_leads_into_a_hollow_is_left(seed):
     # Steps from a fit of an unstable aircraft may end at a bound, and much less likely than it.
     rng = np.random.default_rng(seed)
