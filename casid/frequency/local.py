@@ -88,7 +88,7 @@ def local_response(
         other, more, *_ = of_inputs(other, more, correlated, powers, references)
         back = np.zeros_like(G)  # averaged spectra tell what noise does in references
     squared = _beyond_noise(G, error, other, more)
-    between = _between_samples(records, omega, G, references, end)
+    between = _between_samples(records, omega, G, error, references, end)
     squared = np.maximum(squared, 0.0)
     # As a share of response and difference together: a logarithm's error has limits.
     bias = np.sqrt(squared / (1 + squared) + between**2)
@@ -98,14 +98,19 @@ def local_response(
 
 
 def _between_samples(
-    records: Sequence[Record], omega: Array, G: ComplexArray, references: int, end: float
+    records: Sequence[Record],
+    omega: Array,
+    G: ComplexArray,
+    random: Array,
+    references: int,
+    end: float,
 ) -> Array:
     """Bias (K, ny, nu), relative, as samples do not tell what inputs do between them.
 
     An input is smooth there, or straight: sinc²(ωh/2) lies between the two, and is what held inputs
     leave open of a response that falls with ω. A direct term follows their steps at once, not half
     a sample later as they do in the mean: ωh/2 of as much as the response is at a quarter of the
-    sampling rate, where a direct term is what is left, or at the last frequency if that has none.
+    sampling rate, where a direct term is what is left, or at the last frequency where it is seen.
     Neither is above the ``end`` of what comes from outside: noise fed back moves some input there,
     and the response is the controller's inverse.
     """
@@ -123,8 +128,9 @@ def _between_samples(
             beyond, error, *_ = of_inputs(beyond, error, outputs, inputs, references)
         found.append((np.abs(beyond), error))
     (beyond, error), (other, _) = found
-    upto = G[omega <= end][::-1]
-    last = np.take_along_axis(upto, np.isfinite(upto).argmax(axis=0)[None], axis=0)
+    upto, seen = (each[omega <= end][::-1] for each in (G, random < SEEN))
+    seen = np.where(seen.any(axis=0), seen, np.isfinite(upto))
+    last = np.take_along_axis(upto, seen.argmax(axis=0)[None], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         there = (error < SEEN) & (np.abs(other - beyond) < beyond / 2)  # nor what a record's end is
         direct = np.where(there, beyond, np.abs(last)) / np.abs(G)

@@ -167,9 +167,11 @@ def test_a_direct_term_that_cannot_be_seen_is_at_most_the_response_where_inputs_
     record = Record(dt * np.arange(4000), u, y, ("lat",), ("p",), "noise", "zoh")
     omega = np.array([1.0, 2.0, 4.0, 8.0])
     G = np.array([4.0, 2.0, 1.0, 50.0])[:, None, None] + 0j  # the controller's inverse at last
-    direct = np.array([1 / 4, 1 / 2, 1.0, 1 / 50]) * omega * dt / 2
-    found = _between_samples([record], omega, G, 0, 5.0)[:, 0, 0]
-    np.testing.assert_allclose(found, np.hypot(direct, (omega * dt) ** 2 / 12), rtol=1e-9)
+    for noisy, least in (([0.1] * 4, 1.0), ([0.1, 0.1, 0.3, 0.1], 2.0), ([0.3] * 4, 1.0)):
+        random = np.array(noisy)[:, None, None]  # what is mostly noise says only that it is no more
+        direct = least / np.abs(G[:, 0, 0]) * omega * dt / 2
+        found = _between_samples([record], omega, G, random, 0, 5.0)[:, 0, 0]
+        np.testing.assert_allclose(found, np.hypot(direct, (omega * dt) ** 2 / 12), rtol=1e-9)
 
 
 def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():
