@@ -22,10 +22,10 @@ paper: install
 	$(VENV)/bin/python -m benchmarks.choice --kept out/paper/choice
 
 test: install
-	$(VENV)/bin/pytest -n auto -m "not slow and not campaign"
+	$(VENV)/bin/pytest -n auto --dist worksteal -m "not second and not slow and not campaign"
 
 slow: install
-	$(VENV)/bin/pytest -m "slow or campaign"
+	$(VENV)/bin/pytest -m "second or slow or campaign"
 
 mutants: install
 	$(VENV)/bin/python -m benchmarks.mutants

@@ -155,6 +155,7 @@ def rolling():
     return output_error(ClosedRoll(), noisy(seed=5))
 
 
+@pytest.mark.second
 def test_bands_are_the_scatter_of_models_drawn_from_the_errors(rolling):
     # 600 draws: their standard deviation is known to 3 %, and what is not linear adds little.
     drawn = sample_models(rolling, 600, seed=1)

@@ -33,6 +33,7 @@ def test_each_subcommand_explains_itself(command):
     assert "STUDY.toml" in result.output
 
 
+@pytest.mark.second
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 @pytest.mark.parametrize("asked", [["--help"], ["--version"], ["inspect", "--help"]])
 def test_what_cannot_be_printed_is_one_line(asked):
@@ -48,6 +49,7 @@ def test_what_cannot_be_printed_is_one_line(asked):
 # ---- no convergence ----------------------------------------------------------------------------
 
 
+@pytest.mark.second
 def test_a_solver_that_stops_early_gives_code_three_and_keeps_what_there_was(tmp_path):
     limit = ("[match]\n", "[match]\nsolver = { max_iterations = 2 }\n")
     result = casid("identify", write_study(tmp_path, limit))

@@ -77,6 +77,7 @@ def phugoids(damping, seed):
     return plane(0.45, damping, 1), [plane(0.45 * a, damping * b, c) for a, b, c in drawn.T]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("damping", "order"),
     [
@@ -101,6 +102,7 @@ def test_a_weight_of_light_damping_is_stable_of_minimum_phase_and_covers(damping
     assert (np.abs(of(W, omega)) / apart).min() > 1 - 1e-6
 
 
+@pytest.mark.second
 def test_a_weight_too_low_of_order_says_how_large_it_is_and_which_would_do():
     # One model whose resonance is elsewhere: two peaks, which two states cannot follow.
     def mode(frequency):
@@ -165,6 +167,7 @@ def test_poles_on_the_axis_in_the_band_are_refused_and_integrators_below_it_cove
     assert 1 <= found.margin <= found.excess < 1.3
 
 
+@pytest.mark.second
 def test_a_lag_that_varies_in_gain_is_covered_by_itself():
     # G - G_0 = (k - 1)/(s + 2), largest at k = 1.3: W = 0.3/(s + 2) fits with order one.
     def lag(gain):

@@ -220,6 +220,7 @@ def test_formulas_are_written_to_be_typeset(page):
     assert re.findall(r".*(?:[λμωγΦ√∞‖⁻₀∝∂∘∑½]|\w[\u0302\u0303]).*", prose) == []
 
 
+@pytest.mark.second
 def test_parameters_that_share_an_entry_keep_their_own_types_and_defaults():
     own_types = griffe.load_extensions("dataclasses", str(ROOT / "docs/own_types.py"))
     package = griffe.load("casid", search_paths=[ROOT], extensions=own_types,

@@ -67,6 +67,7 @@ def test_the_band_of_a_structure_that_lacks_something_holds_the_truth():
     assert (both.magnitude()[0] >= 0).all()
 
 
+@pytest.mark.second
 def test_the_band_of_the_true_structure_is_hardly_wider():
     plain = response_band(fitted("true"), OMEGA)
     both = response_band(fitted("true"), OMEGA, error=error("true"))
@@ -106,6 +107,7 @@ def test_evidence_is_of_all_pairs_together_and_two_deviations_are_undecided(z):
     assert _evidence(left, target) == pytest.approx(scipy.special.ndtr(z - 2))
 
 
+@pytest.mark.second
 def test_a_structure_is_known_to_miss_something_only_where_it_does():
     assert error("true").sure < 0.05
     assert error("wrong").sure > 0.95
@@ -144,6 +146,7 @@ def test_bands_hold_where_much_noise_hides_a_lag_that_is_left_out():
     assert np.mean(held) > 0.9  # .84 where what noise hides counts for nothing
 
 
+@pytest.mark.second
 def test_what_a_path_that_the_structure_lacks_is_in_truth_counts_whole():
     records, none = list(lagged(3)), ("Lr", "Np", "Lped", "Nlat")
     apart = output_error(RollYaw(**dict.fromkeys(none, 0.0)), records, fixed=none)
@@ -166,6 +169,7 @@ def test_what_is_missed_is_beyond_its_quantile_as_seldom_as_stated(level):
     assert np.mean(inside) == pytest.approx(level, abs=0.012)
 
 
+@pytest.mark.second
 def test_modes_and_bandwidth_are_less_certain_with_it():
     fit, missed = fitted("wrong"), error("wrong")
     (plain, *_), (both, *_) = mode_bands(fit), mode_bands(fit, error=missed)
@@ -277,6 +281,7 @@ class Bank(Model):
         return {"lat": self.tau}
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("lag", [0.06, 0.12])
 def test_a_pole_that_takes_up_a_lag_is_as_uncertain_as_it_is_off(lag):
     rng, t, records = np.random.default_rng(3), 0.02 * np.arange(1500), []
@@ -297,6 +302,7 @@ def test_a_pole_that_takes_up_a_lag_is_as_uncertain_as_it_is_off(lag):
     assert 0.5 * off < both.real_std < 2 * off
 
 
+@pytest.mark.second
 def test_a_phase_delay_is_as_uncertain_as_its_draws():
     # The response is 20 % off, in gain or phase, for a third of a neper of frequency each time.
     fit, omega = fitted("true"), np.geomspace(0.5, 40, 200)
@@ -362,6 +368,7 @@ def test_a_reading_far_off_in_a_few_draws_is_no_standard_deviation():
     assert np.ptp(spreads) < 0.3 * spreads.mean()
 
 
+@pytest.mark.second
 def test_readings_that_scatter_are_told():
     fit, missed, omega = fitted("true"), error("true"), np.geomspace(0.5, 40, 200)
     calm, wild = (

@@ -119,6 +119,7 @@ def test_an_example_runs_and_checks_itself(script, monkeypatch):
     runpy.run_path(str(script), run_name="__main__")
 
 
+@pytest.mark.second
 def test_the_study_of_the_uh60_reads_and_its_records_stay_in_their_roles():
     study = read_study(ROOT / "examples/uh60/study.toml")
     records = read_records(study)

@@ -68,6 +68,7 @@ def test_inputs_that_move_alike_are_not_excited_together():
     assert said.startswith("All inputs together")
 
 
+@pytest.mark.second
 def test_an_autopilot_that_is_shaken_by_hand_is_no_aircraft():
     rng = np.random.default_rng(3)
     y = np.zeros((3000, 2))

@@ -108,6 +108,7 @@ def best_possible(system, size, steps):
     return np.sqrt(np.mean(variances, axis=0))
 
 
+@pytest.mark.second
 def test_predictions_err_as_those_of_the_true_filter():
     system, record = disturbed(np.random.default_rng(4))
     for horizon in (0.1, 0.5):
@@ -125,6 +126,7 @@ def test_a_wrong_model_errs_by_more():
     assert found.rms["wrong"][0, 0] > 1.3 * found.rms["truth"][0, 0]
 
 
+@pytest.mark.second
 def test_the_latest_samples_count_most_where_an_aircraft_is_disturbed():
     rng = np.random.default_rng(6)
     system, record = disturbed(rng)

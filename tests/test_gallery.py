@@ -71,6 +71,7 @@ def on_trim(model, V):
     return dict.fromkeys((*model.states, *model.inputs), 0.0) | trim
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("structure", [ScheduledSixDof, ScheduledHybrid], ids=named)
 @pytest.mark.parametrize("V", [20.0, 27.0, 31.0, 40.0])
 def test_a_scheduled_structure_is_balanced_along_its_trim_curves(structure, V):
@@ -87,6 +88,7 @@ def test_a_scheduled_structure_is_balanced_along_its_trim_curves(structure, V):
     np.testing.assert_allclose(np.hstack([system.A, system.B]) @ along, 0.0, atol=1e-7)
 
 
+@pytest.mark.second
 def test_a_scheduled_structure_has_the_derivatives_of_its_speed():
     model = scheduled(ScheduledSixDof)
     system = model.at(on_trim(model, 41.0)).system()
@@ -288,6 +290,7 @@ def test_the_fixed_wing_by_coefficients_has_the_textbooks_modes():
     np.testing.assert_allclose(found[0], published[0], atol=0.02 * abs(published[0]), rtol=0)
 
 
+@pytest.mark.second
 def test_coefficients_are_found_from_large_manoeuvres_at_one_speed():
     truth = LongitudinalAero(CLalpha=5.0, Cmalpha=-0.9, Cmq=-14.0, CDlift=0.07)
     t = 0.05 * np.arange(800)
@@ -354,6 +357,7 @@ def smooth(signal, dt, lag=0.1):
     return signal
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("structure", GALLERY, ids=named)
 def test_a_structure_is_recovered_from_its_own_response(structure):
     truth = somewhere(structure)

@@ -42,6 +42,7 @@ def test_the_magnitude_of_a_system_is_covered_by_that_system(odd):
     assert mean(X, over) < 0.005
 
 
+@pytest.mark.second
 def test_a_narrow_peak_costs_what_it_is_wide():
     # Tops of ten modes of hardly any damping beside a flat floor: a plateau over them and no more.
     omega = np.exp(X)

@@ -21,6 +21,7 @@ def half_rate(seed, every):
     return replace(record, y=y)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("seed", "every"), [(11, 2), (12, 2), (13, 3), (14, 5)])
 def test_empty_cells_of_a_slower_channel_make_no_outliers(seed, every):
     record = half_rate(seed, every)
@@ -75,6 +76,7 @@ def test_samples_lost_at_random_make_no_outliers_and_hide_none(name, spoil):
         assert {(int(k), int(i)) for k, i in np.argwhere(outliers(record))} == there
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_the_edges_of_a_gap_in_which_inputs_moved_are_no_outliers(seed):
     rng = np.random.default_rng(seed)
@@ -219,6 +221,7 @@ def test_quick_honest_motion_is_not_taken_for_a_jump(noise):
     assert not outliers(Record(0.02 * k, u, y, ("lat",), ("p", "phi"), "pulses")).any()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("share", "lost"), [(0.03, 0.0), (0.05, 0.3), (0.1, 0.0)])
 def test_outliers_are_found_however_many_there_are(share, lost):
     for seed in range(3):

@@ -206,6 +206,7 @@ def smoothed(system, record, known, start, end):
     return np.array(path) + make @ found
 
 
+@pytest.mark.second
 def test_in_closed_loop_states_ahead_are_those_of_least_squares_over_disturbances_ahead():
     system, record = regulated(1)
     scale = record.y.std(axis=0)
@@ -233,6 +234,7 @@ def test_inputs_of_a_controller_tell_of_disturbances_ahead():
     assert "Worse than" not in told.predicted
 
 
+@pytest.mark.second
 def test_a_record_in_which_an_output_rests_does_not_make_growth_doubtful():
     # The truth grows and is flown by nobody; in the second record there is nothing but noise.
     truth = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], inputs=("lat",), outputs=("p",))
@@ -260,6 +262,7 @@ def test_a_record_in_which_an_output_rests_does_not_make_growth_doubtful():
         assert ("predicted p: such growth" in said) == told
 
 
+@pytest.mark.second
 def test_expecting_outputs_where_a_controller_keeps_them_excuses_no_wrong_input():
     system, record = regulated(3)
     models = {"truth": system} | {

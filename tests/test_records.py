@@ -106,6 +106,7 @@ DROPOUT = {
 }
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("estimate", DROPOUT.values(), ids=DROPOUT)
 def test_a_dropout_of_five_seconds_is_the_flight_cut_in_two(estimate):
     noise = {"ay": 0.05, "p": 0.005, "phi": 0.005}

@@ -46,6 +46,7 @@ def test_what_the_model_misses_is_traced_to_its_input_and_lag():
     assert "p of lat" in found.headline()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("colour", [0.0, 0.9])
 def test_of_a_true_model_99_percent_of_the_correlations_are_inside_their_bands(colour):
     # 25 records of 26 lags; neighbouring lags are correlated when the noise is, hence the room.

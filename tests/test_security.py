@@ -27,6 +27,7 @@ BUILTINS = {"eval", "exec", "compile", "__import__"}
 METHODS = {"system", "popen", "loads_pickle", "read_pickle", "to_pickle", "exec_module"}
 
 
+@pytest.mark.second
 def test_nothing_in_casid_unpickles_evaluates_or_executes():
     executing = []
     for source in SOURCES:

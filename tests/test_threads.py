@@ -107,6 +107,7 @@ def _used(single):
         return sharing(None, None)
 
 
+@pytest.mark.second
 @pytest.mark.skipif(cores() < 2, reason="needs two processors")
 def test_a_process_of_many_takes_all_cores_while_the_others_have_no_work():
     assert _used(False) == 2  # no process of many

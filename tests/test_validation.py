@@ -217,6 +217,7 @@ def test_an_output_the_model_lacks_is_nan():
     assert result.normalised["all"][0, 0] == 1.0
 
 
+@pytest.mark.second
 def test_a_model_that_runs_out_of_numbers_is_never_better_for_it():
     # e^{400·1} over a horizon of 1 s is finite, its square is not; e^{400·3} is not either. Of 2000
     # not even the filter's covariances are.

@@ -107,6 +107,7 @@ def test_a_name_stands_for_one_class():
         storable(type("Stored", (), {"__module__": "elsewhere"}))
 
 
+@pytest.mark.second
 def test_every_storable_class_is_found_where_it_is_defined():
     root = Path(casid.__file__).parent
     found = {}

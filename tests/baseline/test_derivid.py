@@ -72,6 +72,7 @@ def test_a_structure_is_recovered_from_its_own_response():
     assert fit.success
 
 
+@pytest.mark.second
 def test_six_degrees_of_freedom_with_64_parameters_are_recovered():
     rng = np.random.default_rng(1)
     guess = uh60.structure()
@@ -183,6 +184,7 @@ def test_errors_are_those_of_repeated_measurements(error):
     assert fits[0].notes.table[2].scatter == fits[0].parameters[2].std_error
 
 
+@pytest.mark.second
 def test_a_band_of_a_fit_in_decibels_holds_the_truth():
     rng = np.random.default_rng(5)
     held = []
@@ -237,6 +239,7 @@ def test_a_delay_stays_at_zero_where_the_data_want_a_lead():
     assert np.isnan(fit["tau"].std_error)
 
 
+@pytest.mark.second
 def test_a_tie_between_parameters_holds():
     class TiedRoll(Model):
         states, inputs, outputs = ("p",), ("lat",), ("p",)

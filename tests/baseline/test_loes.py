@@ -88,6 +88,7 @@ def test_the_fit_does_not_depend_on_units():
     assert fast.delay == pytest.approx(base.delay / 50, rel=1e-4)
 
 
+@pytest.mark.second
 def test_stated_errors_scale_with_the_scatter():
     rng = np.random.default_rng(1)
     noise = 0.03
@@ -145,6 +146,7 @@ def test_stated_errors_are_those_of_the_definition_where_little_is_determined_to
         assert (fit.std_error[:3] > 1e6 * np.abs([*fit.numerator, *fit.denominator[1:]])).all()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("order", [(1, 1), (0, 2), (1, 2), (1, 3), (2, 3)])
 def test_an_order_above_the_system_s_fits_as_well_as_its_own(order):
     # Without noise its own order has J = 0, and what more there is wanders without an end.
@@ -153,6 +155,7 @@ def test_an_order_above_the_system_s_fits_as_well_as_its_own(order):
     assert fit.J < 1e-6
 
 
+@pytest.mark.second
 def test_uh60_roll_rate_is_a_low_order_system():
     frf = frequency_response(uh60.sweeps(seed=3), omega=np.geomspace(0.5, 12, 40))
     fit = transfer_function(frf, (1, 2), pair=("p", "lat"), band=(1.0, 10.0))

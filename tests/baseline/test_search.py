@@ -51,6 +51,7 @@ def noisy(seed):
     )  # fmt: skip
 
 
+@pytest.mark.second
 def test_a_valley_of_models_as_good_is_an_answer():
     for seed in range(10):
         fit = derivid(Product(), noisy(seed), starts=2)

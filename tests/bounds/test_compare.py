@@ -197,6 +197,7 @@ class TwoSticks(Model):
         return {"lat": self.tau}
 
 
+@pytest.mark.second
 def test_a_delay_of_nothing_is_held_and_spoils_no_other_error():
     rng = np.random.default_rng(4)
     t = np.arange(0, 10, 0.05)
@@ -228,6 +229,7 @@ def test_eigenvalues_and_unseen_records_are_told(flown):
     assert flown["free"].rms == pytest.approx(sigma, rel=0.1)
 
 
+@pytest.mark.second
 def test_the_prediction_is_right_to_first_order():
     # Noise variances concentrated out: the cost is no longer quadratic.
     free = compare_bounds(Mixture(), [record()], cases={"free": {}})["free"].parameters[0]
@@ -280,6 +282,7 @@ def test_parameters_are_sorted_by_price(flown):
     assert names[0] == "a"
 
 
+@pytest.mark.second
 def test_a_failed_case_is_a_row_with_its_reason():
     cases = {"free": {}, "impossible": ["a + b <= -1", "a >= 0", "b >= 0"]}
     found = compare_bounds(Mixture(), [record()], cases=cases)
@@ -317,6 +320,7 @@ def sinking(T, seed):
     return record.with_noise({"w": 0.02}, np.random.default_rng(seed))
 
 
+@pytest.mark.second
 def test_eigenvalues_of_a_nonlinear_structure_are_those_in_balance_where_it_was_flown(tmp_path):
     settings = {
         "cases": {"free": {}}, "estimator": OutputError(biases=False), "execution": HERE,

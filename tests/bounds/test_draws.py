@@ -86,6 +86,7 @@ def decays(seed):
     ]
 
 
+@pytest.mark.second
 def test_what_is_drawn_begins_as_is_known(monkeypatch):
     by = OutputError(initial={"x": (1.0, SPREAD)}, biases=False)
     records = decays(0)

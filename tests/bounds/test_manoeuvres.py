@@ -134,6 +134,7 @@ def test_states_that_follow_the_record_gain_nothing_by_its_noise():
     assert scatter < 0.02 < 6 / 120 - 0.02  # six unknowns of 120 samples are told
 
 
+@pytest.mark.second
 def test_candidates_are_all_simulated_or_all_predicted():
     wild = replace(TRUTH, Yv=TRUTH.Yv + 2.5)  # by more than ten e-folds
     fits = [of_model(each) for each in (TRUTH, wild)]
@@ -163,6 +164,7 @@ def test_a_structure_that_lacks_a_derivative_is_not_enough():
     assert "| bare" in found.to_markdown()
 
 
+@pytest.mark.second
 def test_a_manoeuvre_is_judged_by_the_fit_that_has_not_seen_it():
     way = OutputError(domain="frequency")
     found = compare_structures({"whole": TRUTH}, RECORDS, estimator=way, execution=HERE)
@@ -183,6 +185,7 @@ def test_what_is_no_solution_predicts_nothing():
     assert {*found.reasons.values()} == {"stuck"}
 
 
+@pytest.mark.second
 def test_the_noise_of_outputs_that_share_no_sample_is_theirs():
     k = np.arange(len(T))
     turns = np.column_stack([k % 3 != j for j in range(3)])
@@ -203,6 +206,7 @@ def test_one_structure_in_several_ways():
     assert np.isnan(found.aicc).all()  # two likelihoods of the same records
 
 
+@pytest.mark.second
 def test_a_way_that_fails_on_all_manoeuvres_is_not_tried_without_each():
     ways = {"time": OutputError(interval=2.0), "none": Failing()}
     found = compare_structures(dict.fromkeys(ways, TRUTH), RECORDS, estimator=ways, execution=HERE)

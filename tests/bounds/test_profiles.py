@@ -20,6 +20,7 @@ def solved():
     return free, np.linalg.inv(X.T @ X), float(np.sum((X @ free - y) ** 2)), len(y)
 
 
+@pytest.mark.second
 def test_the_profile_of_a_linear_problem_is_the_parabola_of_its_covariance():
     free, covariance, _, _ = solved()
     sigma = np.sqrt(covariance[0, 0])
@@ -59,6 +60,7 @@ def test_the_interval_allows_for_correlated_residuals_and_does_not_depend_on_the
     assert far.intervals == free.intervals
 
 
+@pytest.mark.second
 def test_the_interval_is_exact_when_the_noise_is_estimated_too():
     # The variance concentrated out, 2 ΔJ = n log(1 + d² / (v S)), S the sum of squares.
     free, covariance, squares, n = solved()
@@ -99,6 +101,7 @@ class Direct(Mixture):
         return [[self.a * self.d]]
 
 
+@pytest.mark.second
 def test_a_value_that_leaves_another_parameter_without_effect_has_its_own_slope():
     X, y = least_squares()
     with pytest.warns(UserWarning, match="d has no effect"):
@@ -108,6 +111,7 @@ def test_a_value_that_leaves_another_parameter_without_effect_has_its_own_slope(
     assert found.slope[0] == pytest.approx(-(X[:, 0] + Direct().d * X[:, 2]) @ left, rel=1e-5)
 
 
+@pytest.mark.second
 def test_an_interval_ends_on_a_bound_that_comes_first():
     free, covariance, _, _ = solved()
     sigma = np.sqrt(covariance[0, 0])

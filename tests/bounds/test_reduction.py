@@ -30,6 +30,7 @@ TARGET = black_box(
 )
 
 
+@pytest.mark.second
 def test_a_parameter_the_data_do_not_need_is_dropped_and_no_other():
     found = reduce_structure(Mixture(), DATA)
     assert found.criterion == "aicc"
@@ -61,6 +62,7 @@ def test_a_step_that_costs_too_much_is_rejected_and_told():
     assert found.held == {}  # a and b are well determined
 
 
+@pytest.mark.second
 def test_the_cost_may_rise_by_the_share_allowed_only():
     slack = reduce_structure(Mixture(), DATA, rule=ReductionRule(criterion="cost", rise=0.05))
     assert slack.held == {"d": 0.0}
@@ -80,6 +82,7 @@ def test_protected_parameters_stay_and_a_run_can_be_replayed():
     assert reduce_structure(Mixture(), DATA, rule=ReductionRule(replay=script)).held == script
 
 
+@pytest.mark.second
 def test_several_candidates_are_tried_at_once_and_the_cheapest_is_held():
     found = reduce_structure(
         Mixture(), DATA, rule=ReductionRule(candidates=3), execution=Execution(executor=Inline())
@@ -87,6 +90,7 @@ def test_several_candidates_are_tried_at_once_and_the_cheapest_is_held():
     assert found.held == {"d": 0.0}
 
 
+@pytest.mark.second
 def test_what_cannot_be_reduced_is_refused():
     with pytest.raises(ModelError, match="no standard errors"):
         reduce_structure(Mixture(), TARGET, estimator=Match(norm="quadratic"))

@@ -50,6 +50,7 @@ def test_a_bootstrap_of_white_residuals_scatters_as_the_standard_errors():
     np.testing.assert_array_equal(found.reference, fit.model.vector())
 
 
+@pytest.mark.second
 def test_what_the_fit_held_is_held_in_every_draw_and_biases_are_those_of_the_fit():
     held = output_error(Mixture(a=1.0), [record()], fixed=["a"], bounds={"b": (0.3, 0.58)})
     assert held["b"].active
@@ -66,6 +67,7 @@ def test_what_the_fit_held_is_held_in_every_draw_and_biases_are_those_of_the_fit
     assert len(bootstrap(none, [record()], runs=2, estimator=bare, execution=HERE).values) == 2
 
 
+@pytest.mark.second
 def test_draws_depend_on_seed_and_run_alone_and_keep_gaps():
     r = record()
     y = r.y.copy()

@@ -54,6 +54,7 @@ def test_aicc_counts_covariances(R, variances):
     )
 
 
+@pytest.mark.second
 def test_aicc_counts_a_free_gain():
     R, few = np.diag(list(NOISE.values())) ** 2, SolverOptions(max_iterations=1)
     with pytest.raises(ConvergenceError) as stopped:  # what is counted does not depend on success

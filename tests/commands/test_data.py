@@ -165,6 +165,7 @@ def test_a_mistake_is_named_and_nothing_is_written(mistake, folder):
 # ---- inspect -----------------------------------------------------------------------------------
 
 
+@pytest.mark.second
 def test_inspect_shows_channels_sampling_and_kinematics():
     result = casid("inspect", FLIGHT)
     assert result.exit_code == 0, result.output
@@ -180,6 +181,7 @@ def test_inspect_judges_a_model_and_takes_units():
     assert "can tell all parameters apart" in result.output
 
 
+@pytest.mark.second
 @pytest.mark.usefixtures("folder")
 def test_inspect_reads_a_study_as_the_study_does():
     result = casid("inspect", "study.toml")
@@ -322,6 +324,7 @@ LOSSES = {
 }
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("name", ["itself", "symbolic", "hard"])
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda name: name.replace(" ", "-"))
 def test_no_output_replaces_what_it_is_made_from(loss, name, folder, monkeypatch):

@@ -112,6 +112,7 @@ def test_what_the_settings_hold_bound_and_sample_comes_before_what_the_study_doe
     assert as_said.dt == 0.1
 
 
+@pytest.mark.second
 def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     study = write_study(tmp_path)
     study.write_text(study.read_text() + TABLE.replace("sticks", "# sticks"))
@@ -134,6 +135,7 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     assert f"\n\nOf steps and multisine, {kind} was chosen by the criterion MV over" in page
 
 
+@pytest.mark.second
 def test_the_weakest_parameters_are_those_that_a_flight_can_tell(tmp_path):
     study = write_study(tmp_path)
     study.write_text(study.read_text() + TABLE)
@@ -270,6 +272,7 @@ def write_swing(folder, rests, speeds=()):
     return study
 
 
+@pytest.mark.second
 def test_a_nonlinear_structure_is_designed_for_where_its_records_were_flown(tmp_path):
     result = run(write_swing(tmp_path, [0.8]), "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
@@ -284,6 +287,7 @@ def test_a_nonlinear_structure_is_designed_for_where_its_records_were_flown(tmp_
     assert told in " ".join(refused.stderr.split())
 
 
+@pytest.mark.second
 def test_of_several_speeds_the_one_to_fly_at_has_to_be_said(tmp_path):
     study = write_swing(tmp_path, [0.8, 0.3], speeds=[20.0, 40.0])
     result = run(study)
@@ -332,6 +336,7 @@ def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_p
     assert "is of earlier records, settings or casid; run casid identify" in stale.stderr
 
 
+@pytest.mark.second
 def test_a_fit_that_does_not_know_the_noise_leaves_it_to_the_study(tmp_path, monkeypatch):
     study = write_study(tmp_path)
     flown = read_records(read_study(study))["identification"][0]

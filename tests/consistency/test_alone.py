@@ -62,6 +62,7 @@ def test_what_a_rate_a_force_or_all_velocities_explain_is_laid_to_no_single_one(
     )
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("name", ["phi", "v"])
 def test_a_clock_of_its_own_has_its_lag_and_error(name):
     records = flown(303, **{name: 0.06})

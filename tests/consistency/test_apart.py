@@ -102,6 +102,7 @@ def test_a_late_heading_spoils_no_skew_of_a_rate():
     assert np.abs(z).max() < 3.5  # six normal values: exceeded once in 360
 
 
+@pytest.mark.second
 def test_forces_late_beside_late_velocities_are_told_against_the_others():
     check = kinematic_check(late((*VELOCITIES, *FORCES), 0.1))
     assert check.apart.names == VELOCITIES
@@ -110,6 +111,7 @@ def test_forces_late_beside_late_velocities_are_told_against_the_others():
     assert sum("once these have moved" in each for each in check.remarks) == 3
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("names", [RATES, FORCES, (*RATES, *FORCES)], ids=str)
 def test_nothing_stands_apart_where_rates_or_forces_are_late(names):
     check = kinematic_check(late(names, 0.1))

@@ -42,12 +42,14 @@ def test_the_logger_without_inputs_moves_as_a_whole(check):
     assert list(aligned(check, first, (*second, "lat"), ["lat"])[0]) == list(first)
 
 
+@pytest.mark.second
 def test_records_in_line_stay_as_they_are():
     fine = kinematic_check(flight(1, None, NOISE, OUTPUTS))
     moves, why = aligned(fine, OUTPUTS, (), ["lat"])
     assert (moves, why, moves_told(moves)) == ({}, (), "none")
 
 
+@pytest.mark.second
 def test_pitch_attitude_that_was_not_recorded_is_told_or_widens_the_errors():
     """phi' = p + r tan(theta), integrated by itself."""
     rng, tilt = np.random.default_rng(5), 0.06

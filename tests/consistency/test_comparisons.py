@@ -7,6 +7,7 @@ from truths.bodies import RATES, changed, flown, reversed_in
 from casid.consistency.kinematics import kinematic_check
 
 
+@pytest.mark.second
 def test_a_sign_is_told_where_the_records_tell_no_scale():
     # Of one axis a record the yaw rate leaks little into bank and pitch: its sign is sure, its
     # scale is known to some per cent.
@@ -20,6 +21,7 @@ def test_a_sign_is_told_where_the_records_tell_no_scale():
     assert not any("do not tell about r" in note for note in check.notes)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("factor", "why"), [(1.3, "look at the scale factors"), (57.3, "degrees")])
 def test_a_factor_is_told_with_its_error_and_what_it_betrays(factor, why):
     records = changed(flown(100, outputs=("p", "phi")), "p", lambda p: factor * p)

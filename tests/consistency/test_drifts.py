@@ -25,6 +25,7 @@ def drifting(seed, drift, outputs=WHOLE, begin=0.0):
     return replace(record, y=y)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("who", "outputs"),
     [(ATTITUDES, ANGLES), (("p",), ANGLES), (ATTITUDES, WHOLE), ((*ATTITUDES, *VELOCITIES), WHOLE)],
@@ -41,6 +42,7 @@ def test_a_drift_is_told_and_nothing_else(who, outputs, ppm):
         assert abs(late - 1e-6 * ppm) < 3 * error < 6e-4
 
 
+@pytest.mark.second
 def test_scales_biases_and_skews_are_those_of_clocks_that_were_set_right():
     record = drifting(2, dict.fromkeys(("phi", "theta"), 1e-3), ANGLES, begin=0.06)
     factor = np.where(np.array(record.outputs) == "p", 1.08, 1.0)
@@ -89,6 +91,7 @@ def test_what_a_channel_did_while_it_was_lost_for_seconds_is_not_made_up(outputs
     assert abs(late - 1e-3) < 3 * error < 4e-4
 
 
+@pytest.mark.second
 def test_a_delay_that_stays_is_no_drift():
     check = kinematic_check(drifting(3, dict.fromkeys(ATTITUDES, 0.0), ANGLES, begin=0.06))
     assert check.drifts.late == {}

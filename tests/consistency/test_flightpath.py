@@ -95,6 +95,7 @@ GAINS = dict(zip((*RATES, *FORCES), (0.7, 1.4, 0.8, 0.9, 1.2, 1.1), strict=True)
 PLACE = np.array([0.8, -0.4, 0.5])
 
 
+@pytest.mark.second
 def test_far_skews_scales_and_a_lever_are_found_together_and_hold_where_they_are():
     signals, t = truth(2, duration=40.0)  # its ends, beyond which nothing is read, weigh little
     values = {name: signals(t)[name] for name in STATES}

@@ -60,6 +60,7 @@ def test_trim_is_the_mean_of_all_where_nothing_rests_for_long_enough():
     assert said.startswith("az is -4 m/s^2 in trim")
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore::casid.DataWarning")
 def test_times_in_microseconds_are_told_without_a_record_of_no_name():
     record = flight(0, None, NOISE, (*RATES, *FORCES, *STATES))
@@ -68,6 +69,7 @@ def test_times_in_microseconds_are_told_without_a_record_of_no_name():
     assert not any(" in :" in said for said in remarks)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("name", [*RATES[:2], *ATTITUDES, *SPEEDS, *FORCES])
 def test_a_sensor_dead_in_all_records_is_told_and_no_other_blamed(name):
     dead = [

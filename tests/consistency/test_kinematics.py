@@ -45,6 +45,7 @@ def noisy():
 # ---- truth known -------------------------------------------------------------------------------
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("outputs", [WHOLE, ATTITUDES, (*ATTITUDES, "psi")], ids=len)
 def test_scale_bias_and_skew_are_found_within_three_sigma(outputs):
     check = kinematic_check([flight(0, ERRORS, NOISE, outputs)])
@@ -52,6 +53,7 @@ def test_scale_bias_and_skew_are_found_within_three_sigma(outputs):
     assert np.abs(scores(check)).max() < 3
 
 
+@pytest.mark.second
 def test_without_noise_the_errors_are_found_almost_exactly():
     check = kinematic_check([flight(0, ERRORS)])
     for each in check.channels:
@@ -61,6 +63,7 @@ def test_without_noise_the_errors_are_found_almost_exactly():
         assert abs(each.bias - bias) < 1e-3
 
 
+@pytest.mark.second
 def test_each_error_is_put_into_words():
     check = kinematic_check([flight(0, {"p": (0.08, 0.0, 0.06)}, NOISE)])
     scale, skew = check.remarks
@@ -83,6 +86,7 @@ def euler(rates, attitudes, h):
     return t, found.y.T
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("what", ["turn north", "rolls"])
 def test_angles_that_are_kept_within_a_turn_follow_like_others(what):
     def rates(t):
@@ -114,6 +118,7 @@ def biased(records, biases):
     return [replace(r, y=r.y + b * p) for r, b in zip(records, biases, strict=True)]
 
 
+@pytest.mark.second
 def test_biases_of_each_record_are_named_and_are_neither_scale_nor_movement_left(rolling):
     biases = (0.03, 0.0)
     check = kinematic_check(biased(rolling, biases))
@@ -126,6 +131,7 @@ def test_biases_of_each_record_are_named_and_are_neither_scale_nor_movement_left
     assert p.bias_error > 0.01  # of the mean: records differ by more than noise
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("channel", ["p", "phi"])
 def test_a_sensor_frozen_in_one_record_is_told(rolling, channel):
     frozen = [times(rolling[0], channel, 0.0), *rolling[1:]]
@@ -134,6 +140,7 @@ def test_a_sensor_frozen_in_one_record_is_told(rolling, channel):
     assert len(said) < 300
 
 
+@pytest.mark.second
 def test_one_bias_of_all_records_is_named_once(rolling):
     (said,) = kinematic_check(biased(rolling, (0.03, 0.03))).remarks
     assert re.fullmatch(r"p has a bias of 0\.0\d+ ± \S+ rad/s against phi", said)
@@ -142,6 +149,7 @@ def test_one_bias_of_all_records_is_named_once(rolling):
 LATE = dict.fromkeys((*RATES, *FORCES), (0.0, 0.0, 0.06))
 
 
+@pytest.mark.second
 def test_channels_of_a_logger_of_which_nothing_is_told_move_with_the_others():
     late = flight(0, LATE, NOISE, (*ATTITUDES, *FORCES))  # forces have no velocities to stand by
     check = kinematic_check([late])
@@ -156,6 +164,7 @@ def test_channels_of_a_logger_of_which_nothing_is_told_move_with_the_others():
     assert check.shifts_of(FORCES) == ({}, ())  # a logger of their own
 
 
+@pytest.mark.second
 def test_a_logger_whose_channels_differ_in_skew_moves_one_by_one():
     mixed = flight(0, {"p": (0.0, 0.0, 0.06)}, NOISE, (*ATTITUDES, *FORCES))
     moves, (why,) = kinematic_check([mixed]).shifts_of(mixed.outputs)
@@ -163,6 +172,7 @@ def test_a_logger_whose_channels_differ_in_skew_moves_one_by_one():
     assert why.startswith("ax, ay, az, q, r not: skews of its logger's channels differ (p +")
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("outputs", [WHOLE, ATTITUDES], ids=len)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_good_instruments_give_no_alarm(seed, outputs):
@@ -183,6 +193,7 @@ def test_standard_errors_are_those_of_thirty_flights(outputs):
     assert np.abs(z).max() < 4
 
 
+@pytest.mark.second
 def test_alpha_beta_and_speed_serve_as_velocities():
     record = flight(0, {"az": (0.1, 0.0, 0.0)}, NOISE)
     u, v, w = (record.channel(name) for name in ("u", "v", "w"))
@@ -195,6 +206,7 @@ def test_alpha_beta_and_speed_serve_as_velocities():
     assert abs(az.scale - 0.1) < 3 * az.scale_error
 
 
+@pytest.mark.second
 def test_missing_samples_and_irregular_instants_do_not_matter():
     record = flight(0, ERRORS, NOISE, ATTITUDES)
     rng = np.random.default_rng(3)
@@ -206,6 +218,7 @@ def test_missing_samples_and_irregular_instants_do_not_matter():
     assert abs(found["p"].skew - 0.06) < 3 * found["p"].skew_error + 0.002
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore:.*follow the one before within 5%")
 def test_gaps_split_a_record_and_stop_nothing():
     record = flight(0, {"p": (0.1, 0.0, 0.0)}, NOISE, ATTITUDES)
@@ -222,6 +235,7 @@ def test_gaps_split_a_record_and_stop_nothing():
 # ---- example records ---------------------------------------------------------------------------
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("aircraft", ["uh60", "ah1s"])
 def test_the_simulated_helicopters_obey_kinematics(aircraft):
     files = sorted((EXAMPLES / aircraft / "data").glob("3211_???.csv"))
@@ -234,6 +248,7 @@ def test_the_simulated_helicopters_obey_kinematics(aircraft):
         assert abs(each.skew) < 0.006
 
 
+@pytest.mark.second
 def test_records_with_trim_removed_are_checked_with_it(noisy):
     whole, rest = kinematic_check(noisy), kinematic_check([r.detrend("first") for r in noisy])
     for a, b in zip(whole.channels, rest.channels, strict=True):
@@ -268,6 +283,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda name: name.replace(" ", "-"))
 def test_a_mistake_in_signs_or_units_is_named(mistake, noisy):
     name, factor, begin, word = MISTAKES[mistake]
@@ -297,6 +313,7 @@ def test_a_velocity_that_two_mistakes_spoil_follows_from_nothing():
 # ---- what cannot be checked --------------------------------------------------------------------
 
 
+@pytest.mark.second
 def test_perturbations_are_recognised_by_the_gravity_they_lack(noisy):
     bare = [replace(record.detrend("first"), trim={}) for record in noisy]
     check = kinematic_check(bare)
@@ -358,6 +375,7 @@ def calm(seed, every, slower):
     return Record(t, np.zeros((len(t), 1)), np.where(rare, np.nan, y), ["el"], names, "calm")
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("every", [2, 4])
 @pytest.mark.parametrize("slower", [("phi", "theta"), RATES], ids="-".join)
 def test_slower_sampling_neither_alarms_nor_blinds(every, slower):
@@ -368,6 +386,7 @@ def test_slower_sampling_neither_alarms_nor_blinds(every, slower):
     assert "q is 1.2" in "".join(kinematic_check(times(record, "q", 1.25)).remarks)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("channel", ["p", "phi"])
 def test_outliers_are_told_and_hide_no_skew(channel):
     record = flight(0, {"p": (0.0, 0.0, 0.06)}, NOISE, ATTITUDES)
@@ -384,6 +403,7 @@ def test_outliers_are_told_and_hide_no_skew(channel):
     assert said in check.notes
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("outputs", [bodies.WHOLE, ATTITUDES], ids=len)
 def test_attitudes_in_whole_degrees_are_called_that_and_contradict_nothing(outputs):
     step, records = np.deg2rad(1.0), bodies.flown(300, outputs=outputs, single=True)
@@ -415,6 +435,7 @@ def test_a_study_says_in_log_result_and_report_what_does_not_agree(tmp_path, cap
     assert "Kinematics: p is 0.8" in report
 
 
+@pytest.mark.second
 def test_a_channel_in_another_unit_has_a_scale_and_an_error_that_many_times_larger():
     record = flight(0, ERRORS, NOISE, ATTITUDES)
     plain, double = (
@@ -427,6 +448,7 @@ def test_a_channel_in_another_unit_has_a_scale_and_an_error_that_many_times_larg
     assert double["p"].skew_error == pytest.approx(plain["p"].skew_error, rel=1e-2)
 
 
+@pytest.mark.second
 def test_accelerometers_away_from_the_centre_of_gravity_are_remarked():
     place = np.array([1.5, 0.0, -0.5])
     signals, t = truth(2)
@@ -478,6 +500,7 @@ def test_skew_is_found_to_five_milliseconds_among_outliers_and_losses():
     assert not any("late" in remark or "early" in remark for remark in mended.remarks)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("bank", [0.3, 0.5])
 def test_no_gyro_is_blamed_for_a_pitch_rate_that_was_not_recorded(bank):
     # Coordinated turns at constant θ: ψ' = g tan φ / V, θ' = q cos φ - r sin φ = 0.

@@ -41,6 +41,7 @@ def test_loggers_started_apart_are_told_by_how_much_and_nothing_else_is(clock):
         assert float(said.split("first, ")[1].split(" s")[0]) == pytest.approx(-clock, abs=0.02)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("clocks", [(0.0, 3.0, 0.0), (2.0, -1.5, 0.0), (4.0, 4.0, 4.0)], ids=str)
 def test_clocks_of_every_record_are_looked_at_and_those_that_differ_named(clocks):
     records = []
@@ -62,6 +63,7 @@ def test_clocks_of_every_record_are_looked_at_and_those_that_differ_named(clocks
         np.testing.assert_allclose(found, clocks, atol=0.03)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("late", [0.0, 0.4])
 def test_a_steady_oscillation_or_a_skew_within_reach_is_no_clock(late):
     t = 0.02 * np.arange(2000)
@@ -117,6 +119,7 @@ def test_an_attitude_that_hardly_leaves_its_step_tells_no_clock():
     assert not any("clock" in said for said in kinematic_check(records).remarks)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("late", [2.0, -1.2])
 def test_velocities_of_a_clock_far_off_are_told(late):
     remarks = kinematic_check(flown(113, late=dict.fromkeys(SPEEDS, late), count=2)).remarks
@@ -134,6 +137,7 @@ def exchanged(record, one, other):
     return replace(record, y=y)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("names", "turned"),
     [

@@ -28,6 +28,7 @@ def limited(name, share, sides, outputs, seed=80):
     return noisy, float(over.mean())
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("name", "share", "sides", "outputs"),
     [("p", 0.5, 2, ANGLES), ("p", 0.3, 1, ANGLES), ("q", 0.6, 2, ANGLES), ("ax", 0.6, 2, WHOLE)],

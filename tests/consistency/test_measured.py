@@ -122,6 +122,7 @@ def held(record, every, names):
     return replace(record, y=y)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("every", "seed"), [(5, 6), (10, 3)])
 def test_steps_of_a_held_channel_are_no_outliers_and_an_outlier_is_one_as_long_as_it_is_held(
     every, seed

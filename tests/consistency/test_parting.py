@@ -37,6 +37,7 @@ def small_angles(seed=0):
     return Flight(0.02, 0, x)
 
 
+@pytest.mark.second
 def test_a_rigid_body_turns_its_attitudes_once_and_small_angles_never():
     more, error = reconstruct(turned(), EQUATIONS).coupled
     assert abs(more) < 3 * error
@@ -46,6 +47,7 @@ def test_a_rigid_body_turns_its_attitudes_once_and_small_angles_never():
     assert error < 0.1
 
 
+@pytest.mark.second
 def test_only_where_attitudes_turn_each_other_they_may_be_apart():
     apart = reconstruct_apart(turned(theta=0.06), EQUATIONS)
     assert apart.parted

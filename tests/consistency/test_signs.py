@@ -40,6 +40,7 @@ def test_one_channel_upside_down_is_named_and_no_other(name):
     assert named(said, name)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("name", BARE)
 def test_it_is_named_without_velocities_where_records_move_single_axes(name):
     (said,) = kinematic_check(reversed_in(flown(100, outputs=BARE, single=True), name)).remarks

@@ -73,6 +73,7 @@ def test_a_small_flight_with_delays_is_that_of_the_linear_loop():
     assert off.max() < 0.01
 
 
+@pytest.mark.second
 def test_limits_hold_in_the_nonlinear_structure_where_its_linearisation_would_exceed_them():
     limits = Limits(sticks={"m": 2.0}, responses={"theta": 0.7})
     settings = DesignSettings(dt=0.05, iterations=12, draws=0, method="steps")

@@ -49,6 +49,7 @@ def test_a_design_beats_what_is_usually_flown_within_the_same_limits(design):
     assert np.abs(design.y[:, -1]).max() <= 0.05 + 1e-9
 
 
+@pytest.mark.second
 def test_3211_that_fly_as_long_as_it_says_tell_as_much():
     usual = {"unit": 1.0, "band": (0.5, 8.0), "draws": 0, "method": "steps"}
     made = designed(duration=40.0, **usual)
@@ -57,6 +58,7 @@ def test_3211_that_fly_as_long_as_it_says_tell_as_much():
     assert np.exp(np.log(longer / made.std_errors).mean()) == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.second
 def test_3211_of_the_best_unit_are_no_worse_than_those_of_any_other():
     def errors(**unit):
         made = designed(duration=30.0, draws=0, method="steps", **unit)
@@ -70,6 +72,7 @@ def test_limits_hold_in_the_simulation_of_the_model(design):
     np.testing.assert_allclose(y, design.y, atol=0.01 * np.abs(design.y).max())
 
 
+@pytest.mark.second
 def test_a_multisine_begins_and_ends_in_trim_though_its_grid_is_not_the_cards():
     roll = LateralDirectional(U0=41.0)
     limits = Limits(sticks=dict.fromkeys(roll.inputs, 0.05))
@@ -85,12 +88,14 @@ def test_a_multisine_begins_and_ends_in_trim_though_its_grid_is_not_the_cards():
     assert np.abs(made.r).max() == pytest.approx(0.05, rel=1e-3)
 
 
+@pytest.mark.second
 def test_parameters_that_matter_are_told_better_than_when_all_count():
     name = MODEL.parameter_names()[0]
     k = designed().names.index(name)
     assert designed(matter=(name,)).std_errors[k] <= 1.02 * designed().std_errors[k]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -129,11 +134,13 @@ def test_what_cannot_be_flown_is_refused_with_a_remedy(change, words):
         designed(**change)
 
 
+@pytest.mark.second
 def test_a_delay_alone_can_be_designed_for():
     others = tuple(name for name in MODEL.parameter_names() if name != "tau_lon")
     assert designed(fixed=others).names == ("tau_lon",)
 
 
+@pytest.mark.second
 def test_what_matters_is_what_a_design_tells_of():
     made = designed(matter=("tau_lon",))
     k = made.names.index("tau_lon")
@@ -172,6 +179,7 @@ def test_an_unstable_aircraft_needs_its_feedback_which_is_told_by_name():
     assert not np.allclose(made.u, made.r)
 
 
+@pytest.mark.second
 def test_aircraft_that_the_feedback_does_not_hold_are_counted_and_said():
     unstable, limits = replace(MODEL, Mw=0.08), Limits(sticks={STICK: 0.1})
     quick = DesignSettings(**{**QUICK, "draws": 12, "iterations": 4}, method="steps")
@@ -250,6 +258,7 @@ def swung(model, **options):
     return design_inputs(model, limits, 10.0, noise=noise, settings=settings, **options)
 
 
+@pytest.mark.second
 def test_a_nonlinear_structure_is_designed_for_by_its_linearisation_at_the_trim():
     by_hand = swung(Linear())
     made = swung(Pendulum())

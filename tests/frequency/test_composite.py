@@ -37,6 +37,7 @@ def residuals(parts):
     return found
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("decades", [0.1, 1.0, 3.0])
 def test_the_composite_minimises_its_cost(decades):
     """Windows whose inputs' power differs by so much; SciPy from every one of them."""
@@ -65,6 +66,7 @@ def test_the_composite_minimises_its_cost(decades):
         np.testing.assert_allclose(found, best.x, atol=1e-5 * np.abs(best.x).max())
 
 
+@pytest.mark.second
 def test_nothing_beside_the_composite_of_windows_that_contradict_each_other_costs_less():
     # Power over four decades, responses half of themselves apart, coherence down to 0.05.
     rng = np.random.default_rng(7)
@@ -140,6 +142,7 @@ def both_axes(seed):
         yield Record(t, u, y, TWO.inputs, TWO.outputs, f"{axis} {share}")
 
 
+@pytest.mark.second
 def test_where_a_sweep_ends_the_composite_is_as_good_as_its_stated_error():
     omega = np.array([9.0, 11.0, 13.0, 14.0])
     found = [

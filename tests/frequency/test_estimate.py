@@ -49,6 +49,7 @@ def test_what_references_hardly_move_is_left_out_for_that_reason_alone():
     np.testing.assert_array_equal(lost[FED_BACK].ravel(), [True, False, False])
 
 
+@pytest.mark.second
 def test_outputs_that_a_record_lacks_keep_averaged_spectra_and_are_told():
     rng, omega = np.random.default_rng(3), np.array([2.0, 4.0])
     records = [white(TWO, rng, noise=0.1, duration=120.0, name=n) for n in "abc"]

@@ -80,6 +80,7 @@ def test_stated_errors_hold_with_few_windows():
     assert np.max(z) < 4.5
 
 
+@pytest.mark.second
 def test_coherence_is_the_share_of_the_output_that_the_input_explains():
     rng = np.random.default_rng(5)
     sigma = 0.3
@@ -110,6 +111,7 @@ def test_errors_on_the_linear_helicopters_sweeps_are_those_stated(swept):
     assert np.mean(scores < 3) > 0.93
 
 
+@pytest.mark.second
 def test_uh60_sweeps_agree_with_the_linearised_helicopter():
     omega = np.geomspace(0.5, 12.0, 40)
     found = frequency_response(uh60.sweeps(seed=0), omega=omega)
@@ -124,6 +126,7 @@ def test_uh60_sweeps_agree_with_the_linearised_helicopter():
     assert found.condition.max() < 40
 
 
+@pytest.mark.second
 def test_conditioning_separates_inputs_that_move_together():
     rng = np.random.default_rng(7)
     mix = [[1.0, 0.0], [0.7, 0.7]]  # coherence 0.5 between the inputs
@@ -178,6 +181,7 @@ def test_an_input_that_never_moves_has_no_response():
     assert np.isfinite(found.G[:, :, 0]).all()
 
 
+@pytest.mark.second
 def test_an_output_that_never_moves_has_no_response():
     record = white(TWO, np.random.default_rng(12))
     dead = dataclasses.replace(record, y=record.y * [1.0, 0.0] + 0.3)
@@ -191,6 +195,7 @@ def test_an_output_that_never_moves_has_no_response():
     np.testing.assert_allclose(found.leakage[:, 0], alone.leakage[:, 0])
 
 
+@pytest.mark.second
 def test_windows_too_short_or_lossy_are_not_taken_for_inputs_that_move_together():
     record = white(TWO, np.random.default_rng(13), duration=120.0)
     y = record.y.copy()
@@ -217,6 +222,7 @@ def test_several_windows_are_nearer_over_the_whole_band_than_any_one(swept):
             assert error(found) < error(frequency_response(records, omega=OMEGA, windows=[length]))
 
 
+@pytest.mark.second
 def test_inputs_held_by_steps_are_taken_as_steps():
     rng = np.random.default_rng(24)
     t = DT * np.arange(20001)
@@ -273,6 +279,7 @@ def test_channels_at_rates_of_their_own_cost_what_their_noise_shows(swept):
     assert 0.9 < np.mean(inside) < 0.99
 
 
+@pytest.mark.second
 def test_windows_that_lack_samples_for_longer_than_a_period_are_left_out():
     record = white(LAG, np.random.default_rng(17), duration=1000.0)
     y = record.y.copy()
@@ -395,6 +402,7 @@ def spoilt(seed, kind):
     return plant, dataclasses.replace(record, u=u)
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore::casid.errors.DataWarning")
 @pytest.mark.parametrize("kind", ["as it is", "one of another flight", "fed back"])
 def test_references_that_move_no_input_or_are_fed_back_tell_nothing_wrong(kind):

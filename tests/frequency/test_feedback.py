@@ -63,6 +63,7 @@ def noise_of(omega, gain, *, held):
     return NOISE**2 * DT * back.conj().swapaxes(1, 2)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("held", [False, True])
 def test_noise_in_inputs_is_what_the_loop_makes_of_it(held):
     gain = (0.5 if held else 1.0) * GAIN
@@ -76,6 +77,7 @@ def test_noise_in_inputs_is_what_the_loop_makes_of_it(held):
     assert error.max() < 0.3
 
 
+@pytest.mark.second
 def test_without_feedback_there_is_none():
     for seed in range(10):
         for direct in ((0.0, 0.0), (0.5, 0.0)):
@@ -83,6 +85,7 @@ def test_without_feedback_there_is_none():
             assert not noise_in_inputs(records, OMEGA).cross.any()
 
 
+@pytest.mark.second
 def test_what_inputs_leave_of_outputs_is_the_noise_where_none_is_fed_back():
     found = [noise_in_inputs(loop(seed, 0 * GAIN, seconds=60.0), OMEGA).left for seed in range(6)]
     # As the cross-spectrum above: a tenth or two by the mean over six.

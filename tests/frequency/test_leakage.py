@@ -40,6 +40,7 @@ def test_the_stated_error_of_a_noise_free_sweep_is_that_of_its_windows(system, l
         assert np.sqrt(np.mean(score**2)) > 0.5
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("method", ["local", "windows"])
 def test_noise_is_not_taken_for_leakage(method):
     inflation, inside = [], []

@@ -187,6 +187,7 @@ def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():
     assert inputs[0, 0, 1].real == pytest.approx(-0.8, abs=0.15)  # of the inverse
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("system", [LAG, LIGHT], ids=["lag", "light damping"])
 def test_what_began_before_the_record_is_told_from_the_response(system):
     t = 0.02 * np.arange(3001)
@@ -297,6 +298,7 @@ def test_a_longer_record_resolves_more():
     assert widths[0] / widths[1] == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.second
 def test_errors_of_neighbouring_frequencies_correlate_as_the_resolution_says():
     # Spectral windows of standard deviation b, d apart, share exp(-d²/4b²) of what they see;
     # those of local models are no Gaussian ones.

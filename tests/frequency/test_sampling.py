@@ -87,6 +87,7 @@ def test_a_slow_channel_keeps_its_own_samples_and_lacks_those_it_lost(step, spoi
     np.testing.assert_allclose(slow[at[away]], np.sin(found.t[at[away]]), atol=1e-4)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("spoilt", SPOILT)
 def test_the_response_of_a_slow_channel_is_the_systems_whatever_the_stamps(spoilt):
     rng = np.random.default_rng(23)
@@ -110,6 +111,7 @@ def test_an_interval_too_long_for_the_highest_frequency_is_refused_with_its_plac
         frequency_response(broken, omega=np.array([1.0, 40.0]))
 
 
+@pytest.mark.second
 def test_a_jittered_record_keeps_its_missing_samples_missing():
     rng = np.random.default_rng(18)
     record = white(LAG, rng, duration=1000.0)
@@ -137,6 +139,7 @@ def test_a_grid_that_cannot_be_had_is_refused(omega, message):
         frequency_response([white(LAG, np.random.default_rng(19))], omega=np.array(omega))
 
 
+@pytest.mark.second
 def test_a_grid_finer_than_the_record_is_warned_of():
     record = white(LAG, np.random.default_rng(20), duration=100.0)
     with pytest.warns(DataWarning, match="finer than a record of 100 s allows"):
@@ -162,6 +165,7 @@ def sweep(low, high, duration):
     return Record(t, u[:, None], y[:, None], inputs=("lat",), outputs=("p",), name="sweep")
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("count", [1, 3])
 def test_the_grid_goes_from_what_the_windows_hold_to_what_the_sweep_excites(count):
     record = sweep(0.3, 10.0, 80.0)
@@ -212,6 +216,7 @@ def stabilised(low, high, noise, gain=3.0, dt=0.02):
     return Record(t, u[:, None], y[:, None], ("lat",), ("p",), "flight", hold="zoh")
 
 
+@pytest.mark.second
 def test_the_grid_ends_where_noise_that_is_fed_back_begins():
     found = frequency_response(stabilised(0.3, 10.0, noise=0.02))
     s = 1j * found.omega

@@ -50,6 +50,7 @@ def test_a_job_that_is_nothing_alone_is_left_out_where_its_start_failed(tmp_path
     assert results(again) == {"a": (1, "", ""), "b": (2, "", "a"), "c": (3, "", "b")}
 
 
+@pytest.mark.second
 @pytest.mark.skipif(cores() < 2, reason="needs two processors")
 def test_a_job_on_which_all_others_wait_has_all_processors():
     done = run_jobs(sharing, [job("a", 1), *(job(name, 1, "a") for name in "bcdef")])
@@ -193,6 +194,7 @@ def test_a_class_of_the_script_that_runs_travels_to_dask_workers(tmp_path):
 # ---- interrupts ----------------------------------------------------------------------------------
 
 
+@pytest.mark.second
 def test_an_interrupted_case_is_no_result_and_the_next_run_goes_on(tmp_path):
     seen = []
 

@@ -27,6 +27,7 @@ class Lag(Model):
 """
 
 
+@pytest.mark.second
 def test_a_class_travels_as_the_text_of_its_file(tmp_path):
     path = tmp_path / "lag.py"
     path.write_text(MODEL, encoding="utf-8")
@@ -96,6 +97,7 @@ def local(gain):
     return Local
 
 
+@pytest.mark.second
 def test_a_class_within_a_function_travels_and_is_told_from_another():
     cls = local(3.0)
     reference = refer(cls)

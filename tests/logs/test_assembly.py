@@ -107,6 +107,7 @@ def test_topics_that_are_not_alike_have_no_delay():
     assert lateness(source(t, a), source(t + 100, a)) is None  # no time in common
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("interval", "hold"), [(0.01, "zoh"), (0.005, "foh"), (0.0025, "foh")])
 def test_delays_from_commands_in_steps_are_those_of_held_values(interval, hold):
     fine = 0.0005

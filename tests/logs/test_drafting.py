@@ -38,6 +38,7 @@ def test_a_log_becomes_a_study_that_is_in_order(drafts, name):
     assert draft.log.path.name == name
 
 
+@pytest.mark.second
 def test_a_draft_is_never_overwritten(drafts):
     draft = drafts["flight.ulg"]
     draft.study.write_text("mine")
@@ -48,6 +49,7 @@ def test_a_draft_is_never_overwritten(drafts):
     assert read_study(draft.study).title == "flight"
 
 
+@pytest.mark.second
 def test_what_is_shaken_on_a_bench_is_doubted_and_what_flies_is_not(tmp_path, drafts):
     shaken = import_log(EXAMPLES / "px4" / "shaken.ulg", tmp_path / "shaken")
     said = " ".join(shaken.doubts)
@@ -104,6 +106,7 @@ def test_a_structure_of_the_users_takes_the_channels_it_names(tmp_path, drafts):
     read_study(draft.study)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("write", "said"),
     [
@@ -174,6 +177,7 @@ def test_whatever_stops_an_import_names_the_log(tmp_path, monkeypatch):
         import_log(path, tmp_path / "draft")
 
 
+@pytest.mark.second
 def test_a_log_with_numbers_that_no_sensor_gives_is_read_without_them(tmp_path):
     """Warnings of overflow are errors here."""
     _, x = flight()
@@ -188,6 +192,7 @@ def test_a_log_with_numbers_that_no_sensor_gives_is_read_without_them(tmp_path):
     assert np.nanmax(np.abs(rates)) < 10.0
 
 
+@pytest.mark.second
 def test_wild_samples_are_named_and_change_no_share(tmp_path):
     wave = {"wf_increment": STEP, "wf_start_offset": 0.0}
     drafts = []

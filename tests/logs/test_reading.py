@@ -55,6 +55,7 @@ def test_a_missing_package_is_named_with_its_remedy(tmp_path, monkeypatch, packa
     assert "pip install 'casid[logs]'" in told
 
 
+@pytest.mark.second
 def test_a_log_cut_off_anywhere_gives_what_came_before(tmp_path, small):
     name, data = small
     whole = outcome(tmp_path / name, data)
@@ -74,6 +75,7 @@ def test_a_log_cut_off_anywhere_gives_what_came_before(tmp_path, small):
     assert read >= 90 or name.endswith("tdms")  # one segment, whose sizes stand at its start
 
 
+@pytest.mark.second
 def test_damaged_logs_are_read_in_part_or_refused(tmp_path, small, capfd):
     name, data = small
     rng = np.random.default_rng(5)

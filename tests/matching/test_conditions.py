@@ -36,17 +36,20 @@ def same(fit):
     assert isinstance(fit.model, Swing)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_exact_targets_at_three_conditions_give_the_truth(norm):
     same(match(Swing(), {trim: TRUTH.at(trim).system() for trim in CONDITIONS}, norm=norm))
 
 
+@pytest.mark.second
 def test_measured_responses_at_three_conditions_give_the_truth():
     measured = responses(np.geomspace(0.5, 10, 25))
     same(match(Swing(), measured, norm="quadratic"))
     same(derivid(Swing(), measured, starts=3))
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore:Swing as estimated is far from balance at steep")
 def test_conditions_tell_what_none_of_them_tells_alone():
     # With M sin(theta) and Mlon cos(theta) in the equations a trim about 90 deg says nothing of

@@ -102,6 +102,7 @@ def test_certificate_bounds_the_norm_over_the_band():
     assert fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
 
 
+@pytest.mark.second
 def test_certificate_holds_with_delays_and_unstable_poles():
     fit = match(HoverRoll(), black_box(ACTUATOR), omega=np.geomspace(0.1, 10.0, 9))
     assert fit["tau"].value > 0.1
@@ -115,6 +116,7 @@ def test_certificate_holds_with_delays_and_unstable_poles():
     assert len(fit.notes.sources[0].grid) > 9
 
 
+@pytest.mark.second
 def test_multiplier_is_the_price_of_the_bound():
     def cost(upper):
         omega, bounds = np.geomspace(0.1, 10.0, 200), {"a": (0.1, upper)}
@@ -130,6 +132,7 @@ def test_multiplier_is_the_price_of_the_bound():
     assert fit["a"].multiplier == pytest.approx(slope, rel=1e-2)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 @pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
 def test_a_constraint_has_the_price_of_the_bound_it_stands_for_in_whatever_unit(norm, unit):
@@ -248,6 +251,7 @@ LEAD = StateSpace([[-100.0, -2500.0], [1.0, 0.0]], [[1.0], [0.0]], [[-2500.0, -2
                   inputs=("u",), outputs=("x",))  # fmt: skip
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_poles_stay_left_of_the_line_by_constraint(norm):
     bounds = {"a": (-20.0, 20.0)}

@@ -87,6 +87,7 @@ REDUCTIONS = [
 ]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("structure", "system"), REDUCTIONS)
 def test_removing_one_state_costs_the_smallest_hankel_singular_value(structure, system):
     fit = match(structure(), black_box(system, WIDE), omega=np.geomspace(*WIDE, 120), weight="size")
@@ -113,6 +114,7 @@ class Coupled(Model):
         return [[self.k, 0], [0, 1]]
 
 
+@pytest.mark.second
 def test_several_channels_reach_the_brute_force_optimum():
     target = StateSpace(
         [[-1.2, 0.7, 0.3], [0.2, -1.8, 0.0], [0.0, 1.0, -6.0]],
@@ -153,6 +155,7 @@ OTHER = StateSpace(
 )  # fmt: skip
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_optimum_does_not_depend_on_state_units(norm):
     metres, feet = (match(m(), black_box(OTHER), norm=norm) for m in (HoverRoll, HoverRollFeet))
@@ -160,6 +163,7 @@ def test_optimum_does_not_depend_on_state_units(norm):
     np.testing.assert_allclose(feet.model.vector(), metres.model.vector(), rtol=1e-3)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_optimum_does_not_depend_on_channel_units(norm):
     class Degrees(HoverRoll):
@@ -173,6 +177,7 @@ def test_optimum_does_not_depend_on_channel_units(norm):
     assert other.cost == pytest.approx(radians.cost, rel=1e-6)
 
 
+@pytest.mark.second
 def test_optimum_does_not_depend_on_the_order_of_frequencies():
     first = match(HoverRoll(), black_box(OTHER), omega=OMEGA)
     second = match(HoverRoll(), black_box(OTHER), omega=np.random.default_rng(1).permutation(OMEGA))

@@ -149,6 +149,7 @@ def test_a_mode_that_decides_the_norm_leaves_the_others_determined():
     assert points.sum_of_squares / len(points.grid) < 1.5 * fits["quadratic"].cost
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("order", [1, 6])
 def test_black_box_order_need_not_be_the_structures(order):
     truth, _, _ = KINDS["more outputs than inputs"]

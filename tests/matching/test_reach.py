@@ -86,6 +86,7 @@ def test_weights_by_reach_are_for_all_targets():
     assert len(fit.notes.sources) == 2
 
 
+@pytest.mark.second
 def test_a_few_biased_points_do_not_rule_a_joint_match():
     # The lowest points of an abrupt sweep: 2.5 dB and 12 degrees off at a stated error of 1.5 %.
     G = TRUTH.system().response(OMEGA)
@@ -101,6 +102,7 @@ def test_a_few_biased_points_do_not_rule_a_joint_match():
     assert error["reachable"] < 0.4 * error["relative"]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("priors", [None, {"Lp": (-0.5, 1e-3)}])
 def test_weights_prepared_for_many_fits_are_those_of_one(priors):
     targets = [measured(TRUTH.system(), G=1.2 * TRUTH.system().response(OMEGA))]

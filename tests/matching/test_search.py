@@ -33,6 +33,7 @@ def test_a_gap_that_stays_is_told(monkeypatch):
     assert certificate.upper_bound > 1.01 * certificate.grid_norm
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("corner", [15.0, 29.0])
 def test_a_valley_of_models_as_good_is_an_answer(corner):
     lagged = StateSpace(
@@ -50,6 +51,7 @@ def test_a_valley_of_models_as_good_is_an_answer(corner):
 POOR = np.array([15.0, -20.0])
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_a_match_never_ends_worse_than_its_guess(monkeypatch, norm):
     good = match(Lag(), black_box(SECOND), norm=norm)
@@ -72,6 +74,7 @@ def test_a_match_never_ends_worse_than_its_guess(monkeypatch, norm):
     assert again.notes.start == "guess"
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_a_match_from_its_own_result_is_the_same(norm):
     fit = match(HoverRoll(), black_box(ACTUATOR), norm=norm)
@@ -103,6 +106,7 @@ def test_poles_count_as_unstable_right_of_the_line_where_they_are_to_stay_left(s
     assert [own._unstable(np.array([a, 1.0])) for a in (-0.6, -0.4)] == [stable, False]
 
 
+@pytest.mark.second
 def test_a_guess_right_of_the_line_does_not_count():
     # Its response may be near the target's while it is no model of it.
     right = HoverRoll(Yv=0.0, Lv=-1.0, Lp=0.0, Llat=12.0, tau=0.07)

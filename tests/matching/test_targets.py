@@ -67,6 +67,7 @@ def test_relative_error_divides_each_output_by_its_own_response():
     np.testing.assert_allclose(comparison.error(TwoByTwo().system()), error, rtol=1e-12)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_masked_pair_does_not_count(norm):
     mask = np.array([[1.0, 0.0], [1.0, 1.0]])
@@ -124,6 +125,7 @@ def test_two_sources_share_a_gain_as_their_weights_say():
         assert rows[1].share == pytest.approx(shares[1] / sum(shares), rel=1e-6)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_a_state_space_is_a_target_as_it_is(norm):
     fit = match(HoverRoll(), TRUTH.system(), norm=norm)
@@ -153,6 +155,7 @@ def test_coherence_weighs_the_squared_error_as_tischler_and_remple_say():
     assert fit["k"].value == pytest.approx((1 + 3 * w) / (1 + w), rel=1e-6)
 
 
+@pytest.mark.second
 def test_measured_points_alone_recover_an_unstable_structure():
     fit = match(HoverRoll(), measured(TRUTH.system()), norm="hinf")
     np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-5)
@@ -178,6 +181,7 @@ class Tied(TwoByTwo):
         ]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_ties_hold_at_the_optimum(norm):
     fit = match(Tied(), black_box(YAW.system()), norm=norm)
@@ -186,6 +190,7 @@ def test_ties_hold_at_the_optimum(norm):
     assert fit.cost > match(TwoByTwo(), black_box(YAW.system()), norm=norm).cost
 
 
+@pytest.mark.second
 def test_tied_truth_is_recovered():
     values = {name: getattr(YAW, name) for name in YAW.parameter_names()}
     truth = Tied(**values | {"Nlat": 1.2, "tau_ped": 0.06})
@@ -214,6 +219,7 @@ class Damped(Model):
         return [Constraint("damping ratio", self.Mq**2 + self.Mtheta, lower=0.0, upper=np.inf)]
 
 
+@pytest.mark.second
 def test_modal_damping_bound_is_active_where_the_truth_violates_it():
     truth = Damped(Mq=-0.8, Mtheta=-4.0, Mlon=3.0)  # damping ratio 0.2
     fit = match(Damped(), black_box(truth.system()), norm="hinf")
@@ -221,6 +227,7 @@ def test_modal_damping_bound_is_active_where_the_truth_violates_it():
     assert damping / (2 * natural) == pytest.approx(0.5, rel=1e-6)
 
 
+@pytest.mark.second
 def test_constraint_that_bounds_contradict_is_named():
     with pytest.raises(ConvergenceError, match="relax ties and bounds") as caught:
         match(Tied(), black_box(YAW.system()), bounds={"Nlat": (8.0, 10.0), "Llat": (1.0, 20.0)})

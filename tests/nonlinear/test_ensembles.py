@@ -27,6 +27,7 @@ HERE = Execution(executor=Inline())
 NOISE = {"q": 0.02, "theta": 0.02}
 
 
+@pytest.mark.second
 def test_monte_carlo_makes_its_data_with_the_nonlinear_structure():
     found = monte_carlo(TRUTH, swung(1, size=0.9), noise=NOISE, runs=4, execution=HERE)
     assert not any(found.reasons)
@@ -35,6 +36,7 @@ def test_monte_carlo_makes_its_data_with_the_nonlinear_structure():
     assert found.names == ("Mq", "M", "Mlon", "tau")
 
 
+@pytest.mark.second
 def test_the_start_of_a_simulation_is_the_state_that_fits_with_biases_free():
     record = swung(2, noise=0.0)
     exact = integrated(TRUTH, record.t, record.u, "foh", [0.3, 0.5])
@@ -44,6 +46,7 @@ def test_the_start_of_a_simulation_is_the_state_that_fits_with_biases_free():
     assert fitting_start(TRUTH, replace(record, y=0 * record.y + 5.0)) == {"q": 0.0, "theta": 0.0}
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("detrended", [False, True])
 def test_a_bootstrap_puts_residuals_back_on_the_nonlinear_simulation(detrended):
     record = swung(3, size=0.9)
@@ -86,6 +89,7 @@ def test_what_is_told_apart_is_judged_along_the_record():
     assert [set(group) for group in found.confounded] == [{"g1", "g2"}]
 
 
+@pytest.mark.second
 def test_information_along_a_record_is_that_of_differences_of_simulations():
     record = swung(2, duration=5.0)
     names, start = ("Mq", "M", "Mlon", "tau"), {"q": record.y[0, 0], "theta": record.y[0, 1]}
@@ -104,6 +108,7 @@ def test_information_along_a_record_is_that_of_differences_of_simulations():
     np.testing.assert_allclose(found, rest.T @ rest, rtol=2e-2, atol=1e-3 * np.abs(found).min())
 
 
+@pytest.mark.second
 def test_a_structure_that_runs_away_is_judged_over_shorter_pieces():
     climbing = SmallSwing(Mq=-0.5, M=-6.0, Mlon=8.0, tau=0.07)
     found = identifiability(WrittenOut().with_values_of(climbing), swung(1, duration=40.0))

@@ -43,6 +43,7 @@ def test_bad_knots_are_told(knots, values):
         spline(0.5, knots, values)
 
 
+@pytest.mark.second
 def test_a_table_is_as_exact_as_its_knots_are_few():
     x = np.linspace(0, 10, 200)
     rng = np.random.default_rng(1)

@@ -133,6 +133,7 @@ class Climb(NonlinearModel):
         return {"V": 20.0, "T": 4.0, "alpha": 0.12}
 
 
+@pytest.mark.second
 def test_a_trim_that_the_equations_leave_open_is_one_of_many():
     with pytest.warns(DataWarning, match="determine 2 of gamma, T, alpha, not 3; hold one") as told:
         find_trim(Climb(), {"V": 20.0}, ["gamma", "T", "alpha"])

@@ -217,6 +217,7 @@ def test_turbulence_is_no_other_aircraft():
     assert judged(0, gust=2.0, process_noise=True) == []
 
 
+@pytest.mark.second
 def test_a_validation_record_that_no_model_explains_is_told():
     assert judged(0) == []
     (said,) = judged(8)

@@ -133,6 +133,7 @@ def test_singular_values_lie_under_the_bound_and_touch_the_grid_norm(tmp_path):
     assert lines["x from u"].get_xdata()[0] == fit.certificate.peak_omega
 
 
+@pytest.mark.second
 def test_a_fit_without_certificate_is_refused():
     fit = match(Lag(), black_box(SECOND))
     bare = Fit(**{name: getattr(fit, name) for name in vars(fit)} | {"certificate": None})

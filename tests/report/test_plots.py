@@ -33,6 +33,7 @@ def test_what_is_a_table_says_so_when_asked_for_a_figure(name):
         values()[name].plot()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("name", [name for name in values() if name not in TABLES])
 def test_every_value_draws_itself_on_new_axes(name):
     figure = first(values()[name].plot()).figure
@@ -141,6 +142,7 @@ def test_a_design_draws_sticks_and_outputs_with_their_limits():
     np.testing.assert_allclose(edges, [-2 * 2 * signal.max(), 2 * 2 * signal.max()])
 
 
+@pytest.mark.second
 def test_what_a_backend_sets_when_it_is_loaded_outlasts_the_first_figure(tmp_path):
     # That of notebooks makes pyplot interactive; otherwise later figures are not shown.
     (tmp_path / "like_notebooks.py").write_text(

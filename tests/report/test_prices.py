@@ -42,6 +42,7 @@ def test_a_held_value_is_filled_and_has_no_interval(compared):
     assert len(filled) == 1
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("name", ["case {}", "damping of roll above {} and all others free"])
 def test_many_cases_are_told_apart_in_a_legend_within_the_picture(compared, name):
     cases = [replace(compared.cases[0], name=name.format(k)) for k in range(32)]

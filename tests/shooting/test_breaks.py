@@ -20,6 +20,7 @@ def late_by(samples):
     return np.array([9.0, 0.3, 5.0, samples * DT, (samples + 0.37) * DT if samples else 0.0])
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore:simulate. outputs")  # a root's still move by a millionth
 @pytest.mark.parametrize("samples", [0.0, 0.3, 1.0, 2.25, 6.5])
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
@@ -33,6 +34,7 @@ def test_a_simulation_is_that_of_scipy_from_break_to_break(cls, hold, samples):
         assert (np.abs(y - record.y).max(axis=0) < 1e-6 * np.abs(record.y).max(axis=0)).all()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("samples", [0.3, 2.25, 6.6])
 @pytest.mark.parametrize(("cls", "hold", "near"), [
     (Squared, "foh", 1e-5), (Saturating, "foh", 1e-5),
@@ -58,6 +60,7 @@ def test_sensitivities_are_differences_of_scipys_solutions(cls, hold, samples, n
         assert np.abs(rows[..., i] - slope).max() < near * np.abs(slope).max()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 def test_what_halving_the_steps_is_told_to_change_is_the_error_of_the_integration(hold):
     lam = np.array([9.0, 0.3, 5.0, 2.65 * DT, 1.4 * DT])
@@ -75,6 +78,7 @@ def test_what_halving_the_steps_is_told_to_change_is_the_error_of_the_integratio
     assert told.shift == pytest.approx(max(moved.values()), rel=0.15)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("hold", ["zoh", pytest.param("foh", marks=pytest.mark.slow)])
 def test_a_root_of_an_input_that_comes_from_zero_is_no_obstacle(hold):
     lam = np.array([9.0, 0.3, 5.0, 2.65 * DT, 1.4 * DT])
@@ -103,6 +107,7 @@ def test_records_of_either_hold_are_simulated_together_as_alone():
         assert np.abs(mine).max() < 1e-6
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("horizon", [np.inf, 1.0])
 def test_validation_and_predictions_hear_jumps_where_they_are(horizon):
     lam = late_by(2.65)

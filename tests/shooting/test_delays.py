@@ -36,6 +36,7 @@ def flights(structure, hold, delay, seed):
     return [flight(structure(tau=delay * H), hold, delay, rng) for _ in range(2)]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("structure", "hold", "delay", "off"),
     [
@@ -57,6 +58,7 @@ def test_a_free_delay_of_whole_samples_is_right_to_a_tenth_of_one(structure, hol
     assert abs(fit.model.tau / H - delay) < 0.1
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("structure", [Felt, Slight])
 @pytest.mark.parametrize("late", [0.0, 1.0])
 @pytest.mark.parametrize("start", [0.0, 0.6])
@@ -220,6 +222,7 @@ def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
     assert fit.cost == pytest.approx(held.cost, abs=0.01)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("structure", "tau", "start", "domain"),
     [
@@ -245,6 +248,7 @@ def test_a_parameter_of_several_delays_is_found_between_the_whole_samples_of_all
         assert fit.cost == pytest.approx(found + size, abs=0.01)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("structure", "spare"), [(Alike, 0.005), (Longer, 0.012)])
 def test_beyond_a_bound_that_is_no_whole_sample_no_stretch_is_tried(structure, spare):
     records = paired(structure, 0.0, (0.02,))
@@ -262,6 +266,7 @@ class Earlier(Pair):
         return {"lat": 0.2 - self.tau, "ped": 0.2 - self.tau}
 
 
+@pytest.mark.second
 def test_no_delay_is_found_where_a_parameter_that_shortens_it_is_on_its_bound():
     records = paired(Alike, 0.0, (0.02,))
     fit = output_error(Earlier(tau=0.17), records, fixed=("Lp",))
@@ -323,6 +328,7 @@ class Bent(Pair):
         return {"lat": self.tau, "ped": 10 * self.tau**2}
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 @pytest.mark.parametrize("structure", [Shared, Bent])
 def test_jumps_in_a_delay_that_no_parameter_holds_are_told(structure, domain):
@@ -335,6 +341,7 @@ def test_jumps_in_a_delay_that_no_parameter_holds_are_told(structure, domain):
         output_error(structure(), paired(Alike, 0.05), fixed=fixed, solver=limit, domain=domain)
 
 
+@pytest.mark.second
 def test_a_delay_of_a_fixed_parameter_and_a_free_one_is_that_ones():
     records = paired(Longer, 0.087)
     with warnings.catch_warnings():

@@ -79,6 +79,7 @@ def test_ties_hold_and_sharpen_what_they_tie():
     assert tied.cost > free.cost
 
 
+@pytest.mark.second
 def test_a_bound_is_kept_and_its_multiplier_is_its_price():
     def within(lower):
         return output_error(TRUTH, [noisy()], bounds={"Lp": (lower, 0.0)})
@@ -154,6 +155,7 @@ def test_a_start_that_falls_over_in_the_data_is_caught_by_the_intervals():
     assert relative_error(output_error(start, [flown(seed=1)])).max() < 1e-6
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("solver", "message"),
     [
@@ -170,6 +172,7 @@ def test_a_solver_limit_leaves_the_best_iterate(solver, message):
     assert best.R is not None
 
 
+@pytest.mark.second
 def test_records_too_short_are_refused():
     with pytest.raises(ValueError, match=r"'record 1' has 4 measurements; .* alone need 6"):
         output_error(TRUTH, [flown(seed=2), replace(first(2), y=first(2).y * [1, np.nan, 1])])
@@ -216,6 +219,7 @@ def test_wrong_records_are_explained():
         output_error(TRUTH, [noisy()], fixed=TRUTH.parameter_names())
 
 
+@pytest.mark.second
 def test_intervals_chosen_here_are_shortened_until_a_solve_ends(monkeypatch):
     run, tried = Search.run, []
 

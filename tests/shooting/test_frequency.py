@@ -28,6 +28,7 @@ def test_a_noise_free_truth_is_found_from_afar():
     np.testing.assert_allclose(fit.biases[0], [0.1, 0.01, -0.02], atol=1e-4)
 
 
+@pytest.mark.second
 def test_white_noise_of_known_variance_makes_both_domains_one():
     # Then the transform changes nothing: the likelihoods are the same function of λ, but for the
     # line of the biases.
@@ -40,6 +41,7 @@ def test_white_noise_of_known_variance_makes_both_domains_one():
         assert other.cramer_rao == pytest.approx(row.cramer_rao, rel=1e-4)
 
 
+@pytest.mark.second
 def test_both_domains_agree_where_the_structure_is_right():
     records = campaign(2)
     time, frequency = (output_error(off(), records, domain=d) for d in ("time", "frequency"))
@@ -48,6 +50,7 @@ def test_both_domains_agree_where_the_structure_is_right():
     assert np.sqrt(np.mean(np.square(apart))) < 0.3
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
 def test_noise_in_a_band_counts_less_there():
     # A sine of noise as large as the signal, on one line of every record, ruins white weights.

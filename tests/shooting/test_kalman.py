@@ -187,6 +187,7 @@ def test_without_measurement_noise_the_likelihood_degenerates_and_the_best_is_to
     np.testing.assert_allclose(caught.value.best.model.vector(), TRUTH.vector(), rtol=1e-3)
 
 
+@pytest.mark.second
 def test_turbulence_is_told_from_measurement_noise():
     case = cases()["2 states, 2 outputs"]
     record = fly(case, np.random.default_rng(5), "gusts")

@@ -81,6 +81,7 @@ class RollWritten(NonlinearModel):
         return [self.Lp * p + self.Llat * u.lat, p]
 
 
+@pytest.mark.second
 def test_constants_of_a_nonlinear_structure_are_those_of_the_linear_one():
     estimator = OutputError(state_biases=("p",), biases=False)
     linear, fit = (estimator.fit(model, flown()) for model in (Roll(), RollWritten()))
@@ -127,6 +128,7 @@ def test_records_have_the_trim_that_their_initial_states_are_said_to_have():
         OutputError(initial={"phi": ("trim", 0.1)}).fit(RollWritten(), flown())
 
 
+@pytest.mark.second
 def test_a_measured_state_begins_at_the_trim_that_was_subtracted():
     # An angle nothing feeds back from: its bias takes up where it begins, the derivatives stay.
     records = [record.detrend({"lat": 0.0, "p": 0.0, "phi": 0.4}) for record in flown()]

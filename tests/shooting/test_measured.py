@@ -63,6 +63,7 @@ def test_residuals_are_of_unit_variance_at_the_truth():
     assert np.mean(r**2) == pytest.approx(1, abs=4 * np.sqrt(2 / len(r)))
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 def test_the_information_of_both_adds_up(domain):
     plain = output_error(TRUTH, RECORDS, domain=domain, R=np.diag([0.05, 0.01, 0.01]) ** 2)
@@ -79,6 +80,7 @@ def test_the_information_of_both_adds_up(domain):
     assert joint.cost > plain.cost + 60  # half a unit for each of 240 residuals, more or less
 
 
+@pytest.mark.second
 def test_the_same_record_is_refused_in_both_forms(tmp_path):
     response = frequency_response(campaign(3, 4), omega=np.geomspace(2.5, 9.0, 8))
     place = tmp_path / "response.json"
@@ -171,6 +173,7 @@ def test_a_joint_estimate_with_a_short_sweep_is_as_good_as_it_says():
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.4
 
 
+@pytest.mark.second
 def test_what_a_structure_misses_of_a_response_counts_less():
     # Of p to lat the response is another aircraft's above 3 rad/s: errors of 3 % are none.
     stated = measured()
@@ -190,6 +193,7 @@ def test_what_a_structure_misses_of_a_response_counts_less():
     np.testing.assert_array_equal(again.notes.response_weights[0], fewer)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 def test_a_response_in_another_unit_or_of_another_sign_is_told(domain):
     for factor in (-1.0, np.degrees(1.0)):
@@ -203,6 +207,7 @@ def test_a_response_in_another_unit_or_of_another_sign_is_told(domain):
         output_error(TRUTH, RECORDS, responses=measured(), domain=domain)
 
 
+@pytest.mark.second
 def test_the_same_numbers_count_once():
     one, other = measured(seed=1), measured(seed=2)
     G = other.G.copy()

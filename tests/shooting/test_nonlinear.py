@@ -38,6 +38,7 @@ def small(hold, irregular, M=6.0):
     return Record(t, u, y, ("lon",), ("q", "theta"), "small", hold)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 @pytest.mark.parametrize("irregular", [False, True])
 def test_a_linear_structure_written_as_a_nonlinear_one_gives_the_same_estimates(hold, irregular):
@@ -50,6 +51,7 @@ def test_a_linear_structure_written_as_a_nonlinear_one_gives_the_same_estimates(
     assert written.notes.integration.shift < 0.02
 
 
+@pytest.mark.second
 def test_an_unstable_structure_is_no_harder():
     record = small("foh", irregular=False, M=-0.5).cut(0, 5)
     linear, written = output_error(SmallSwing(), record), output_error(WrittenOut(), record)
@@ -85,6 +87,7 @@ def test_gram_matrices_are_those_of_differences_of_the_residuals(substeps):
     np.testing.assert_allclose(slopes.reshape(4, 8), J[-4:], atol=1e-6 * np.abs(J[-4:]).max())
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 def test_estimates_are_those_of_least_squares_over_solve_ivp(hold):
     record = swung(7, duration=2.4, dt=0.08, hold=hold)
@@ -104,6 +107,7 @@ def test_estimates_are_those_of_least_squares_over_solve_ivp(hold):
         assert abs(fit[name].value - value) < 1e-4 * fit[name].cramer_rao
 
 
+@pytest.mark.second
 def test_halving_the_steps_changes_what_is_reported():
     record = swung(4, dt=0.1)
     with pytest.warns(DataWarning, match="1 integration step within 0.1 s move tau by 0.057"):
@@ -129,6 +133,7 @@ def test_settings_that_the_structure_does_not_have_are_told():
         OutputError(steps=2).fit(SmallSwing(), record)
 
 
+@pytest.mark.second
 def test_totals_are_estimated_from_whatever_was_subtracted_as_trim():
     record = swung(1)
     shifted = record.detrend("mean")
@@ -136,6 +141,7 @@ def test_totals_are_estimated_from_whatever_was_subtracted_as_trim():
     np.testing.assert_allclose(detrended.model.vector(), given.model.vector(), rtol=1e-7)
 
 
+@pytest.mark.second
 def test_a_motor_of_eighty_radians_a_second_is_estimated_as_by_least_squares():
     record = climbed(seed=3)  # from the first solution n falls from its mirror image, through zero
     estimator = OutputError(R=DEVIATION**2 * np.eye(1), biases=False)

@@ -63,6 +63,7 @@ def least_squares(record, start):
     return vector, np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
 
 
+@pytest.mark.second
 def test_estimates_and_standard_errors_are_those_of_single_shooting_least_squares():
     record = flown(seed=1).between(0, 8).with_noise(SIGMA, np.random.default_rng(4))
     fit = output_error(off(share=0.1), [record])

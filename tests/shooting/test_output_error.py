@@ -24,6 +24,7 @@ def test_unstable_plant_in_closed_loop_is_recovered_from_30_percent_off_delay_in
     np.testing.assert_allclose(fit.biases, [[0.1, 0.01, -0.02]] * 2, atol=1e-6)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("interval", [0.3, 2.0, 100.0])
 def test_the_interval_does_not_move_the_estimate(interval):
     records = [flown(seed=1).with_noise(SIGMA, np.random.default_rng(4))]
@@ -73,6 +74,7 @@ def test_a_record_has_measurements_for_its_own_state_and_biases():
             select_records(free, replace(short, y=y), biases)
 
 
+@pytest.mark.second
 def test_a_fit_says_what_shorter_steps_of_integration_would_change():
     told = output_error(Swing(), swung(4, dt=0.1)).notes.integration
     assert told.shift <= 1e-4

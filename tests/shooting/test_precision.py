@@ -44,6 +44,7 @@ def test_a_fit_may_end_with_its_only_free_parameter_on_a_bound():
     assert fit.notes.collinear == ()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 def test_parameters_that_show_only_together_are_named(domain):
     with pytest.raises(ConvergenceError, match="do not determine Llat, Lextra") as caught:
@@ -92,6 +93,7 @@ def test_a_control_that_never_moves_is_named_and_the_rest_estimated():
         output_error(TRUTH, [still])
 
 
+@pytest.mark.second
 def test_culprits_of_a_near_singular_information_are_named():
     record = noisy()
     pedal_as_stick = 0.5 * record.u[:, :1] + 0.002 * excitation(record.t, 9)[:, 1:]
@@ -128,6 +130,7 @@ class Beyond(Roll):
         return [Constraint("steep", self.Llat, 1e3, np.inf)]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     "settings", [{}, {"domain": "frequency"}, {"process_noise": True}], ids=str
 )
@@ -153,6 +156,7 @@ class Loaded(type(TRUTH)):
         return [[self.Ylat, 0, 0], [0, 0, 0], [0, 0, 0]]
 
 
+@pytest.mark.second
 def test_constant_forces_beside_output_biases_are_not_determined_and_no_success():
     # A shift of the states, taken back by biases and initial states, is a constant force.
     records = [
@@ -209,6 +213,7 @@ class Slow(Model):
         return [[self.b]]
 
 
+@pytest.mark.second
 def test_a_mode_that_makes_a_ramp_of_growth_is_no_solution():
     # It grows, which no a ≤ 0 does: near zero initial state and bias make a parabola of it.
     t, rng = 0.05 * np.arange(200), np.random.default_rng(0)
@@ -235,6 +240,7 @@ class Distance(Slow):
         return [[self.b], [0]]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("origin", [0.0, 1e5, 5.4e6])
 def test_a_constant_that_a_bias_takes_up_changes_nothing(origin):
     # It is a bias or where the integral begins, and however large it is, noise is as small.
@@ -306,6 +312,7 @@ def test_a_solution_is_one_if_it_has_settled_and_nothing_speaks_against_it(
     assert verdict(found, settled, "give R", more) == (said == "solved", said)
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain")  # of few lines
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 def test_bounds_and_constraints_that_do_not_bind_change_nothing_however_wide_they_are(domain):

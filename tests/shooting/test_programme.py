@@ -28,6 +28,7 @@ class Tied(type(TRUTH)):
         )
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 @pytest.mark.parametrize("filtering", ["output error", "gain", "noises"])
 @pytest.mark.parametrize("kind", ["given", "diagonal", "full"])

@@ -39,6 +39,7 @@ def by_ipopt(programme, x):
     return newton.stripped(solve(newton.problem(x), tight, stage="test"))
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("bounds", [{}, {"Lp": (-20.0, -2.6)}])
 def test_steps_of_the_parameters_alone_end_where_those_of_all_variables_do(bounds):
     programme, x = begun(OFF, [noisy(seed=3)], bounds=bounds)
@@ -56,6 +57,7 @@ def test_steps_of_the_parameters_alone_end_where_those_of_all_variables_do(bound
     assert (np.abs(prices).max() > 1e-4) == bool(bounds)
 
 
+@pytest.mark.second
 def test_a_tenth_of_a_standard_error_is_worth_half_a_hundredth_of_log_likelihood():
     programme, x = begun(OFF, [noisy(seed=3)])
     reduced = Reduced(programme, OPTIONS, "")
@@ -74,6 +76,7 @@ def beyond_nothing():
     return programme, reduced._settled(x).x, reduced
 
 
+@pytest.mark.second
 def test_an_end_that_scales_of_the_variables_feign_is_none():
     programme, x, reduced = beyond_nothing()
     assert reduced.gain(x) > 100
@@ -89,6 +92,7 @@ def test_an_end_that_scales_of_the_variables_feign_is_none():
     )
 
 
+@pytest.mark.second
 def test_an_end_is_left_as_it_is_and_limits_are_kept():
     programme, x = begun(OFF, [noisy(seed=3)])
     end = by_ipopt(programme, x)
@@ -107,6 +111,7 @@ def test_an_end_is_left_as_it_is_and_limits_are_kept():
     assert programme.n * (whole.f - end.f) < STATED
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("open_by", [0.0, 0.3])
 def test_what_was_better_at_the_start_goes_on_from_there(open_by):
     programme, x = begun(OFF, [noisy(seed=3)])
@@ -122,6 +127,7 @@ def test_what_was_better_at_the_start_goes_on_from_there(open_by):
     assert found.iterations <= 7 + 2
 
 
+@pytest.mark.second
 def test_rough_steps_end_earlier_and_idle_ones_do_not_go_on():
     programme, x = begun(OFF, [noisy(seed=3)])
     rough, exact, idle = (Reduced(programme, OPTIONS, "", e).run(x) for e in (10.0, 1e-6, -1.0))

@@ -19,6 +19,7 @@ from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("R", [None, np.diag([0.05, 0.005, 0.005]) ** 2])
 def test_the_start_from_a_neighbour_changes_the_effort_only(R):
     records = [noisy(1), noisy(2)]
@@ -37,6 +38,7 @@ def test_the_start_from_a_neighbour_changes_the_effort_only(R):
         assert one.active == other.active == (one.name in bounds)
 
 
+@pytest.mark.second
 def test_a_neighbour_of_more_records_shortens_the_way_too():
     records = [noisy(1), noisy(2), noisy(3)]
     wide = output_error(off(), records)
@@ -80,6 +82,7 @@ def jerky(model, seed):
     return with_response(record, model).with_noise(NOISE, rng)
 
 
+@pytest.mark.second
 def test_a_delay_that_a_kink_holds_costs_a_neighbour_no_endless_steps():
     truth, told = replace(TRUTH, tau=0.08), []
     near = OutputError(interval=2.0).fit(truth, jerky(truth, 100))

@@ -91,6 +91,7 @@ def test_roundings_of_one_sampling_interval_are_one():
     assert len(ranges(WHOLE, records)) == 3  # the delay's own and the next ones
 
 
+@pytest.mark.second
 def test_a_solve_that_ends_on_a_kink_is_left_for_its_sides_at_once():
     rng, h, N = np.random.default_rng(13), 0.02, 400
     u = np.repeat(rng.choice([-0.1, 0.0, 0.1], size=N // 20), 20)
@@ -109,6 +110,7 @@ def test_a_solve_that_ends_on_a_kink_is_left_for_its_sides_at_once():
     assert steps.count(FIRST) == 1  # the solve that ends on the kink
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 def test_a_start_two_samples_off_passes_all_kinks_on_the_way(hold):

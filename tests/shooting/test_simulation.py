@@ -57,6 +57,7 @@ def test_a_simulation_that_cannot_be_exact_says_so():
         simulate(Saturating(rate=45.0), coarse, {"w": 0.0, "n": 0.0})
 
 
+@pytest.mark.second
 def test_validation_takes_a_nonlinear_structure_as_such():
     # Noise alone is left of the truth; its linearisation is worse by far.
     records = [swung(seed) for seed in (1, 2)]
@@ -86,6 +87,7 @@ def test_a_long_swing_from_an_unknown_angle_is_followed():
     np.testing.assert_allclose(found.initial_states["true"][0], [0.3, 2.0], atol=0.01)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("horizon", "closed_loop"), [(np.inf, False), (1.0, False), (1.0, True)])
 def test_a_linear_structure_written_as_a_nonlinear_one_is_judged_alike(horizon, closed_loop):
     small = SmallSwing(Mq=-0.8, M=6.0, Mlon=8.0, tau=0.073)
@@ -97,6 +99,7 @@ def test_a_linear_structure_written_as_a_nonlinear_one_is_judged_alike(horizon, 
         np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.second
 def test_only_the_past_tells_the_state_that_a_prediction_begins_with():
     record = swung(6)
     far, scale = prediction_plan([TRUTH.system()], record, 1.0), np.ones(2)
@@ -137,6 +140,7 @@ def disturbed_swing(seed, duration=6.0, size=1.2, w=0.1):
     return replace(still, y=y)
 
 
+@pytest.mark.second
 def test_at_large_amplitude_states_are_those_of_least_squares_over_all_disturbances(monkeypatch):
     monkeypatch.setattr(filtering, "LEVELS", np.array([10.0]))  # about the truth
     record = disturbed_swing(21)
@@ -163,6 +167,7 @@ def least_squares(record, last, q, r):
     return found.x[-4:-2], deviation[-4:-2]
 
 
+@pytest.mark.second
 def test_predictions_of_a_disturbed_flight_err_less_than_a_fit_without_disturbances():
     record = disturbed_swing(31, duration=12.0)
     far = prediction_plan([TRUTH.system()], record, 1.0)
@@ -194,6 +199,7 @@ class Tank(NonlinearModel):
         return {"level": 1.0, "pump": 1.0}
 
 
+@pytest.mark.second
 def test_where_the_equations_have_no_value_the_last_linearisation_stays():
     t = 0.05 * np.arange(400)
     empty = Record(t, 1 + 0.3 * np.sin(t)[:, None], np.zeros((400, 0)), ("pump",), ())
@@ -222,6 +228,7 @@ class Flying(NonlinearModel):
         return {"V": self.usual}
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("horizon", [None, 1.0])
 @pytest.mark.parametrize(("usual", "V"), [(20.0, 20.0), (20.0, 60.0), (1.0, 100.0)])
 def test_steps_follow_what_is_flown_wherever_the_reference_is(usual, V, horizon):

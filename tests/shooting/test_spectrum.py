@@ -18,6 +18,7 @@ from casid.shooting.spectrum import reach, smoothed
 CLEAN = campaign()
 
 
+@pytest.mark.second
 def test_spectra_are_those_of_the_noise():
     found = output_error(TRUTH, campaign(3), domain="frequency").notes.spectra
     assert [each.records for each in found] == [("record 0", "record 1", "record 2")]

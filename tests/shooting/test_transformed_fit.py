@@ -34,6 +34,7 @@ from casid import (
 CLEAN = campaign()
 
 
+@pytest.mark.second
 def test_the_start_from_a_neighbour_of_more_records_changes_the_effort_only():
     records = campaign(5)
     estimator = OutputError(domain="frequency")
@@ -46,6 +47,7 @@ def test_the_start_from_a_neighbour_of_more_records_changes_the_effort_only():
         assert one.value == pytest.approx(other.value, abs=1e-3 * other.std_error)
 
 
+@pytest.mark.second
 def test_a_neighbour_that_leads_nowhere_does_no_harm(monkeypatch):
     records, tried = campaign(5), []
     estimator = OutputError(domain="frequency")
@@ -80,6 +82,7 @@ class Tied(Roll):
         return [Constraint("tie", 20 * self.Lped - 3 * self.Llat, 0.0, 0.0)]
 
 
+@pytest.mark.second
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
 def test_prices_are_slopes_of_the_cost():  # held off the estimate, which colours the residuals
     records, R = campaign(5), np.diag([NOISE[name] ** 2 for name in TRUTH.outputs])
@@ -220,6 +223,7 @@ def test_a_covariance_that_is_given_leaves_errors_alone():
     assert np.all(np.abs(errors - 1) < 0.3)
 
 
+@pytest.mark.second
 def test_errors_are_those_of_the_noise_there_is_whatever_covariance_is_given():
     R = np.diag([(2 * NOISE[name]) ** 2 for name in TRUTH.outputs])
     fit = output_error(TRUTH, campaign(3, count=8), R=R, domain="frequency")
@@ -227,6 +231,7 @@ def test_errors_are_those_of_the_noise_there_is_whatever_covariance_is_given():
     assert np.all(np.abs(errors - 0.5) < 0.1)
 
 
+@pytest.mark.second
 def test_errors_of_coloured_noise_under_a_white_covariance_are_stated():
     R, a, z = np.diag([NOISE[name] ** 2 for name in TRUTH.outputs]), 0.9, []
     for seed in range(8):

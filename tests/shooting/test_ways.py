@@ -46,6 +46,7 @@ def test_intervals_become_shorter_as_long_as_a_record_has_several():
     assert list(ways(interval=1.5)._lengths()) == [1.5]  # a given one is not changed
 
 
+@pytest.mark.second
 def test_where_no_way_ends_the_best_is_told():
     hurried = ways(Roll(Lp=-6.0), options=SolverOptions(max_iterations=2)).output_error()
     assert not hurried.solution.success
@@ -60,6 +61,7 @@ def test_the_way_taken_does_not_matter():
     assert np.abs(apart).max() < 1e-3
 
 
+@pytest.mark.second
 def test_a_fit_nearby_is_where_it_begins():
     near = output_error(TRUTH, noisy(seed=3), R="full")
     far, warm = ways(Roll(Lp=-6.0)).output_error(), ways().output_error(near)
@@ -74,6 +76,7 @@ def test_a_filter_is_no_less_likely_than_the_output_error_it_begins_with():
     assert filtered.cost < plain.cost + GAIN
 
 
+@pytest.mark.second
 def test_the_likelihood_beside_a_fit_has_initial_states_biases_and_covariance_follow():
     names = [name for name in TRUTH.parameter_names() if name != "Lp"]
     fit = output_error(replace(TRUTH, Llat=9.0), noisy(seed=3), R="full", fixed=names)
@@ -84,6 +87,7 @@ def test_the_likelihood_beside_a_fit_has_initial_states_biases_and_covariance_fo
     assert replace(ways(), free=farther).cost_beside(poor) < fit.cost - 10
 
 
+@pytest.mark.second
 def test_the_likelihood_beside_a_fit_of_more_records_is_that_of_its_own():
     fit = output_error(TRUTH, [noisy(seed=3), noisy(seed=4)], R="full")
     names = [name for name in TRUTH.parameter_names() if name != "Lp"]
@@ -187,6 +191,7 @@ def test_where_an_end_explains_nothing_shorter_intervals_find_the_truth():
     assert np.sqrt(fit.R[0, 0]) == pytest.approx(0.01, rel=0.1)
 
 
+@pytest.mark.second
 def test_a_fit_that_explains_nothing_of_an_output_says_so():
     said = "nothing is explained of phi.*: shorter intervals, other starts and their costs tell"
     with pytest.warns(DataWarning, match=said):
@@ -196,6 +201,7 @@ def test_a_fit_that_explains_nothing_of_an_output_says_so():
         output_error(Swing(k=25.0, b=4.0), swung(-1), fixed=("k", "b"), biases=False)
 
 
+@pytest.mark.second
 def test_the_start_of_a_filter_and_what_lies_beside_a_fit_nearby_are_not_sought_again():
     free, options = free_parameters(Swing()), SolverOptions()
     own = Ways(free, [swung()], options, R="diagonal", biases=False, interval=None)

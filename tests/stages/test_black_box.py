@@ -26,6 +26,7 @@ from casid.stages.black_box import BLACK_BOX
 from casid.stages.stage import Task
 
 
+@pytest.mark.second
 def test_the_stage_is_pbsid_with_its_settings():
     own = {"order": 5, "pole": 6.0, "past": 10, "feedthrough": ["z"]}
     records = tuple(campaign())

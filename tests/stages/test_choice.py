@@ -123,6 +123,7 @@ def test_a_step_takes_its_own_manoeuvres_as_time_histories():
     assert found.model == direct.model
 
 
+@pytest.mark.second
 def test_the_others_enter_as_a_response():
     step = LastStep(
         estimator=OutputError(), histories=("record 0",), responses=SpectralAnalysis(omega=OMEGA)
@@ -134,6 +135,7 @@ def test_the_others_enter_as_a_response():
     assert alone.model == output_error(TRUTH, RECORDS[:1]).model
 
 
+@pytest.mark.second
 def test_a_match_is_to_a_black_box_of_what_is_there():
     step = LastStep(estimator=Match(norm="quadratic"), black_box=Pbsid(order=3, past=20, future=10))
     found = step.fit(TRUTH, RECORDS[:2])

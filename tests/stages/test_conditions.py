@@ -177,6 +177,7 @@ def test_bad_tables_are_named(study, change, words):
         read_study(study(change))
 
 
+@pytest.mark.second
 def test_a_speed_whose_records_tell_too_little_is_left_out_alone(study):
     told = read_study(study())
     records = read_records(told)["identification"]

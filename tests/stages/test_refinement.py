@@ -35,6 +35,7 @@ def test_it_goes_on_from_the_match_on_its_own_records_or_those_of_identification
     assert records_of(OUTPUT_ERROR, {"identification": (1,)}) == (1,)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("held", "said"),
     [("zoh", r"as no hold was stated; the records are e\^\d\d times as likely with steps"),
@@ -55,6 +56,7 @@ def test_it_tells_of_inputs_in_steps_which_reading_explains_records_better(held,
         OUTPUT_ERROR.run(OutputError(), replace(task, hold="foh"))  # stated: not asked again
 
 
+@pytest.mark.second
 def test_it_tells_of_inputs_that_a_computer_holds_while_it_feeds_noise_back():
     """Nothing rests there, so that no jump shows; the delay is half a sample too long."""
     late, rng, noise = 4, np.random.default_rng(3), [NOISE[name] for name in TRUTH.outputs]
@@ -76,6 +78,7 @@ def test_it_tells_of_inputs_that_a_computer_holds_while_it_feeds_noise_back():
     assert abs(steps.value - model.tau) < 3 * steps.std_error < dt / 4
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     "settings", [OutputError(), OutputError(R=np.diag(list(NOISE.values())) ** 2),
                  OutputError(domain="frequency")],

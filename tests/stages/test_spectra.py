@@ -22,6 +22,7 @@ def test_the_stage_measures_the_sweeps_alone_with_its_own_settings():
     assert run_stages(without).results == {}
 
 
+@pytest.mark.second
 def test_a_check_channel_serves_as_the_reference_of_a_loop():
     N = 15000
     rng, t = np.random.default_rng(0), 0.02 * np.arange(N)

@@ -106,6 +106,7 @@ def test_a_module_of_the_same_name_of_another_folder_is_refused(tmp_path, path):
         load_model("roll.py:Roll", other)
 
 
+@pytest.mark.second
 def test_a_module_that_changed_since_it_was_imported_is_told_until_it_is_read_anew(tmp_path, path):
     path(gained(tmp_path, 1.0))
     assert load_model("roll.py:Roll", tmp_path)().system().B == 1.0

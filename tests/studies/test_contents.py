@@ -42,6 +42,7 @@ def test_a_structure_s_own_units_count_and_those_stated_of_columns_more():
     assert "valve" not in found
 
 
+@pytest.mark.second
 def test_the_page_has_digests_of_all_that_a_structure_imports_and_reads(tmp_path, monkeypatch):
     path = write_study(tmp_path)
     model = (tmp_path / "roll.py").read_text(encoding="utf-8").replace("self.g]", "gravity()]")

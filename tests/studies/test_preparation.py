@@ -77,6 +77,7 @@ def test_a_time_column_and_an_interval_exclude_each_other(tmp_path):
         read_study(path)
 
 
+@pytest.mark.second
 def test_skews_and_outliers_are_mended_by_a_word(tmp_path):
     path = write_study(tmp_path, (PLACE, f'[channels]\nshift = "kinematics"\n{PLACE}'))
     text = path.read_text().replace("[channels]", '[channels]\noutliers = "mask"', 1)
@@ -97,6 +98,7 @@ def test_skews_and_outliers_are_mended_by_a_word(tmp_path):
     assert np.isnan(records[0].y[:, 0]).sum() == 1  # and stays missing
 
 
+@pytest.mark.second
 def test_skews_that_differ_by_record_are_not_mended_by_one_word(tmp_path):
     path = write_study(tmp_path, (PLACE, f'[channels]\nshift = "kinematics"\n{PLACE}'))
     record = read_csv(tmp_path / "sweep.csv", inputs=["lat"], outputs=["p", "phi"])

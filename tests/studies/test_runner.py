@@ -15,6 +15,7 @@ from casid.studies import runner
 from casid.studies.runner import WRITTEN, write_parameters
 
 
+@pytest.mark.second
 def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
     limit = ("[match]", "[output_error]\nsolver = { max_iterations = 1 }\n\n[match]")
     study = read_study(write_study(tmp_path, limit))

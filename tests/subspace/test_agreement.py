@@ -48,6 +48,7 @@ def test_flights_of_one_aircraft_agree(seed):
     assert remarks(flights(seed)) == ()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("factor", [-1.0, 57.3])
 def test_another_sign_or_unit_is_named_with_its_factor(factor):
     records = flights()
@@ -58,6 +59,7 @@ def test_another_sign_or_unit_is_named_with_its_factor(factor):
     assert gain == pytest.approx(factor, abs=3 * error)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.filterwarnings("ignore:inputs follow")
 @pytest.mark.parametrize("factor", [-1.0, 3.0])
@@ -71,6 +73,7 @@ def test_of_two_records_that_disagree_both_are_named(seed, factor):
     assert "no third record tells which of the two is wrong" in said
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("name", "factor"), [("x", 1.3), ("y", 1.3), ("z", 1 / 1.3)])
 def test_a_channel_of_another_gain_is_named_with_that_gain(name, factor):
     records = flights()
@@ -101,6 +104,7 @@ def test_an_input_that_is_late_is_named():
     assert "later" in said
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("rate", "word"), [(1.02, "faster"), (0.98, "slower")])
 def test_a_clock_that_runs_at_another_rate_is_named(rate, word):
     records = flights()

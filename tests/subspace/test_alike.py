@@ -56,6 +56,7 @@ def left(modal, lines, weights):
     return np.concatenate(found)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("records", [2, 30])
 def test_sums_of_spectra_are_those_of_every_one_by_itself(records):
     lines, weights, modal, free = flown(records)
@@ -118,6 +119,7 @@ def test_products_of_all_that_drives_modes_stay():
     )
 
 
+@pytest.mark.second
 def test_pieces_that_differ_in_the_rounding_of_their_clock_alone_are_alike():
     (whole,) = campaign(records=1, duration=1200.0)
     su, sy = standard_deviations([whole])

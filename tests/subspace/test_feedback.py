@@ -114,6 +114,7 @@ def test_a_share_that_chance_makes_is_told_beside_it(hold):
     assert real > 0.9  # half of the input
 
 
+@pytest.mark.second
 def test_default_has_no_bias_where_the_projection_alone_is_biased_and_says_so():
     omega = np.geomspace(0.3, 8.0, 25)
     found = {True: [], False: []}

@@ -34,6 +34,7 @@ def test_a_discrete_pole_on_the_negative_axis_has_no_continuous_equivalent():
         undiscretised(replace(one, A=-np.eye(5) * np.linspace(0.1, 0.5, 5)), "zoh")
 
 
+@pytest.mark.second
 def test_direct_terms_that_stand_for_fast_dynamics_go_into_the_rest_of_the_model():
     # Below 8 rad/s a free direct term can hardly be told from what the pole at -40 does.
     A = [[-0.8, 2.0, 0.0], [-2.0, -0.8, 0.0], [0.0, 0.0, -40.0]]

@@ -58,6 +58,7 @@ def test_gusts_in_one_record_make_none_disagree(A, seed, gust):
     assert not [each for each in remarks(campaign(A, seed, gust)) if "disagree" in each]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(("A", "k"), [(ROLL, 0), (HOVER, 2)])
 @pytest.mark.parametrize(("name", "factor"), [("lat", 100.0), ("lat", -1.0), ("p", -1.0)])
 @pytest.mark.filterwarnings("ignore:inputs follow")

@@ -21,6 +21,7 @@ from casid.subspace.refinement import refine
 from casid.subspace.refining import refine_projected
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 def test_noise_free_unstable_plant_in_closed_loop_is_recovered(hold):
     plant = unstable_plant()
@@ -38,6 +39,7 @@ def test_masked_direct_term_is_zero_in_continuous_time_and_the_free_one_is_found
     assert box.system.D[2, 0] == pytest.approx(0.3, abs=0.02)
 
 
+@pytest.mark.second
 def test_settings_chosen_for_one_campaign_serve_another():
     asked = Pbsid(feedthrough=["z"])
     chosen = asked.fit(campaign(noise=0.01))
@@ -106,6 +108,7 @@ def test_gain_stabilises_the_predictor():
         assert np.linalg.eigvals(box.system.A - box.K @ box.system.C).real.max() < 0
 
 
+@pytest.mark.second
 def test_missing_samples_are_interpolated_over_short_gaps_and_split_long_ones():
     records = campaign(noise=0.001, duration=40.0)
     y = records[0].y.copy()
@@ -119,6 +122,7 @@ def test_missing_samples_are_interpolated_over_short_gaps_and_split_long_ones():
     assert relative_error(box.system, unstable_plant()) < 0.02
 
 
+@pytest.mark.second
 def test_random_sampling_instants_need_no_resampling():
     plant, rng = unstable_plant(), np.random.default_rng(5)
     stable = StateSpace(
@@ -209,6 +213,7 @@ def test_a_pole_faster_than_the_samples_is_refused():
             pbsid(campaign(), pole=1e6, **settings)
 
 
+@pytest.mark.second
 def test_short_losses_do_little_harm():
     plant = unstable_plant()
     errors = {True: [], False: []}
@@ -236,6 +241,7 @@ def test_outputs_of_a_slower_instrument_need_no_word():
     assert relative_error(box.system, unstable_plant()) < 0.1
 
 
+@pytest.mark.second
 def test_a_record_of_which_nothing_is_used_is_named():
     records = campaign(noise=0.01, duration=40.0)
     y = records[1].y.copy()
@@ -255,6 +261,7 @@ def test_an_unstable_pole_near_the_laguerre_pole_warns():
         pbsid(loops, order=1, past=4, pole=4.0)
 
 
+@pytest.mark.second
 def test_settings_are_a_value_that_fits_what_the_function_fits():
     settings = Pbsid(order=5, past=8, pole=6.0, feedthrough=["z"])
     one, other = settings.fit(campaign()), pbsid(campaign(), **vars(settings))

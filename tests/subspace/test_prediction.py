@@ -85,6 +85,7 @@ def test_stretches_too_short_for_the_order_are_refused():
             sampled(gappy, 8, how, True, past=4)
 
 
+@pytest.mark.second
 def test_refined_samples_are_more_accurate_than_the_subspace_estimate():
     omega = np.linspace(0.1, 2.5, 10)
     errors = {True: [], False: []}

@@ -49,6 +49,7 @@ def multisine(seed, duration):
     return truth, Record(t, u, y, ("u",), ("a", "b"))
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("duration", [20.0, 40.0])
 def test_stated_errors_are_those_of_many_records_of_few_lines(duration):
     errors, omega = [], np.geomspace(0.7, 12.0, 12)
@@ -63,6 +64,7 @@ def test_stated_errors_are_those_of_many_records_of_few_lines(duration):
     assert 0.92 <= np.mean(np.abs(errors) < 1.96) <= 0.98
 
 
+@pytest.mark.second
 def test_a_few_campaigns_agree_with_the_standard_deviation_of_the_response():
     # 8 campaigns of some 20 independent parameters: the share's own error is about 2.5 %.
     assert 0.9 <= np.mean([projected(seed) for seed in range(8)]) <= 0.99
@@ -93,6 +95,7 @@ def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term(
     assert after <= truth + 1e-3  # the maximum is at least as likely as the truth
 
 
+@pytest.mark.second
 def test_outputs_that_follow_from_the_poles_save_steps(monkeypatch):
     # Of a helicopter 23 parameters a state are far from their maximum along curved valleys.
     flown, mask = sweeps(seed=1), np.zeros((8, 4), dtype=bool)

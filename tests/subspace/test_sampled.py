@@ -100,6 +100,7 @@ def test_samples_are_no_candidates_where_they_cannot_be_judged():
     assert not are_candidates(Campaign.of(replace(record, y=y), True), None)
 
 
+@pytest.mark.second
 def test_slow_records_that_suit_no_laguerre_pole_are_identified_from_samples():
     record = output_error_record(N=120, noise=0.05)
     with pytest.raises(ValueError, match="suit no Laguerre pole"):
@@ -107,6 +108,7 @@ def test_slow_records_that_suit_no_laguerre_pole_are_identified_from_samples():
     assert pbsid(record.between(0, 59), feedthrough=False).transform == "none"
 
 
+@pytest.mark.second
 def test_simulations_are_no_candidates_under_feedback_of_noise():
     rng, N = np.random.default_rng(1), 600
     system, _ = resonant()

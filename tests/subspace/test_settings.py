@@ -49,6 +49,7 @@ def median_error(system):
     return np.median(np.linalg.norm(system.response(OMEGA) - G, axis=(1, 2)) / size)
 
 
+@pytest.mark.second
 def test_an_output_of_few_samples_beside_a_noisy_one_is_not_all_gaps():
     # Noise moves p up to its Nyquist frequency; bank comes every fourth sample, in the last record
     # almost never.
@@ -127,6 +128,7 @@ def without_outputs(record):
     return replace(record, y=np.full_like(record.y, np.nan), name="lost")
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     "useless",
     [lambda record: replace(record.take(slice(30)), name="lost"), without_outputs],
@@ -156,6 +158,7 @@ def test_orders_are_tried_until_some_in_a_row_are_no_better():
     assert 4 <= found.chosen.order <= 6
 
 
+@pytest.mark.second
 def test_one_records_order_does_not_follow_its_noise():
     plant = StateSpace([[-0.8, 2.0], [-2.0, -0.8]], [[1.0], [0.5]], np.eye(2), [[0.0], [0.0]])
     orders = []
@@ -202,6 +205,7 @@ def test_table_marks_the_choice(selection):
     assert marked[0].startswith(f"| {selection.chosen.order} | {selection.chosen.past} |")
 
 
+@pytest.mark.second
 def test_the_unit_of_time_does_not_matter():
     records = campaign(noise=0.02, records=1, duration=30.0)
     faster = [replace(record, t=record.t / 10) for record in records]
@@ -231,6 +235,7 @@ def test_of_records_that_are_held_out_one_without_projections_is_none(samples):
     assert len(found.chosen.folds) == 2
 
 
+@pytest.mark.second
 def test_windows_are_tried_where_the_usual_one_is_too_long():
     records = campaign(records=2, duration=24.0)
     found = select_order(records, orders=[3], pasts=[5, 400, 500], poles=[6.0], feedthrough=["z"])

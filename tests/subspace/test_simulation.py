@@ -30,6 +30,7 @@ def test_simulation_errors_approach_the_noise():
     np.testing.assert_array_equal(box.system.D, 0.0)
 
 
+@pytest.mark.second
 def test_under_white_output_noise_simulation_errors_are_the_more_efficient():
     errors = {how: [] for how in ("unrefined", "prediction", "simulation")}
     for seed in range(8):
@@ -91,6 +92,7 @@ def pole_bound(record, noise):
     return np.sqrt(np.linalg.inv(J.T @ J)[0, 0])
 
 
+@pytest.mark.second
 def test_local_levels_reach_the_cramer_rao_bound_of_noise_that_grows():
     noise, ratios = growing_noise(), {"simulation": [], "local simulation": []}
     for seed in range(20):
@@ -104,6 +106,7 @@ def test_local_levels_reach_the_cramer_rao_bound_of_noise_that_grows():
     assert size["simulation"] > 3
 
 
+@pytest.mark.second
 def test_local_levels_of_constant_noise_change_little():
     noise, distance = np.full(600, 0.3), []
     for seed in range(8):

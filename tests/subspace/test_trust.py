@@ -68,6 +68,7 @@ def test_what_direct_terms_were_to_prediction_errors_is_no_feedback():
     assert pbsid(sweeps(seed=3), order=16, **settings).doubts() == ()
 
 
+@pytest.mark.second
 def test_noise_free_records_are_explained_fully():
     box = pbsid(campaign(), order=5, past=10, pole=6.0, feedthrough=["z"])
     np.testing.assert_allclose(box.explained, 1.0, atol=1e-6)
@@ -179,6 +180,7 @@ def rotor_flight(seed):
     return [closed_loop_record(plant, rng, **options, name=f"{k}") for k in range(3)]
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_order_too_low_for_a_mode_is_doubted_where_the_mode_is(seed):
     settings = {"past": 10, "pole": 8.0, "feedthrough": False}
@@ -202,6 +204,7 @@ def test_orders_that_are_true_are_doubted_as_seldom_as_the_level_says():
     assert doubted <= 9  # 4 expected of 400; more than 9 once in 120 times
 
 
+@pytest.mark.second
 def test_an_order_too_low_is_doubted_of_prediction_errors_too():
     # What two states cannot follow looks like much noise fed back, which hands over to them.
     low = pbsid(campaign(noise=0.02), order=2, past=10, pole=6.0, feedthrough=["z"])
@@ -215,6 +218,7 @@ def test_a_sound_unstable_campaign_raises_no_doubt():
     assert box.doubts() == ()
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     ("A", "gain"),
     [
