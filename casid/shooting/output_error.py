@@ -39,6 +39,7 @@ from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away, verdict
+from casid.shooting.rounding import warn_rounded
 from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.stiffness import MOST
 from casid.shooting.transformed_fit import estimate
@@ -134,6 +135,7 @@ class OutputError:
         if isinstance(fit.model, NonlinearModel):
             warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)
         warn_contradicted(free, fit)
+        warn_rounded(fit, chosen)
         return fit
 
     def _fitted(
