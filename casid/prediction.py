@@ -27,7 +27,7 @@ output tracking", IEEE Transactions on Automatic Control 41, 1996), inputs tell 
 backward.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,6 +42,7 @@ from casid.records import standard_deviations
 from casid.samples import known_mean
 
 RANK = 1e-10  # singular values below this share of the largest are directions without effect
+DISTINCT = 1e-12  # the same of their squares, for directions that are counted
 GROWTH = 10.0  # e-folds over a record that a simulation from its first state may grow
 AHEAD = 0.1  # of a record: the horizon of predictions at most
 FOLDS = 3.0  # e-folds that the least unstable model grows over the horizon at most
@@ -69,14 +70,16 @@ class Prediction:
     b: Array  # (ny,) mean biases
     states: Array  # (N, nx)
     reached: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # if nonlinear
+    taken: Array | None = None  # (ny,) degrees of freedom that x0 and b take, of a simulation
 
     def placed(self, columns: np.ndarray, ny: int) -> "Prediction":
         """Own outputs in columns of ny of a record's; -1 is none."""
         y, ours = np.full((len(self.y), ny), np.nan), columns >= 0
-        b = np.full(ny, np.nan)
-        for place, own in zip((y.T, b), (self.y.T, self.b), strict=True):
+        b, taken = np.full(ny, np.nan), np.zeros(ny)
+        own_taken = np.zeros(len(columns)) if self.taken is None else self.taken
+        for place, own in zip((y.T, b, taken), (self.y.T, self.b, own_taken), strict=True):
             place[columns[ours]] = own[ours]
-        return replace(self, y=y, b=b)
+        return replace(self, y=y, b=b, taken=None if self.taken is None else taken)
 
 
 def growth_rate(system: StateSpace) -> float:
@@ -145,13 +148,24 @@ def _settled(system: StateSpace, record: Record, early: range, ahead: int, most:
         return next((k for k, known in told if follower.is_told(known, k, ahead)), most)
 
 
-def predict(system: StateSpace, record: Record, scale: Array, far: PredictionPlan) -> Prediction:
-    """Outputs of a model over a record; ``scale`` (ny,) weighs them, the intervals must agree."""
+def predict(
+    system: StateSpace,
+    record: Record,
+    scale: Array,
+    far: PredictionPlan,
+    biased: Collection[str] | None = None,
+) -> Prediction:
+    """Outputs of a model over a record; ``scale`` (ny,) weighs them, the intervals must agree.
+
+    A simulation has a bias of every output, unless it is said which are ``biased``.
+    """
     follower = RecordPredictor(system, record, scale)
     if np.isinf(far.horizon):
-        states, bias = follower.estimate()
+        names = [record.outputs[i] for i in follower.shared]
+        own = np.array([biased is None or name in biased for name in names])
+        states, bias, taken = follower.estimate(own)
         y = follower.outputs(states, 0) + bias
-        found = Prediction(y, states[0], bias, states)
+        found = Prediction(y, states[0], bias, states, taken=taken)
     else:
         found = follower.pieces(far)
     return found.placed(np.array(follower.shared), record.ny)
@@ -256,13 +270,16 @@ class RecordPredictor:
         """Filtered states at each of these samples, from the record up to it."""
         return filtering.filter_states(self.steps, self.C, self.y, self.t, self.scale, starts)
 
-    def estimate(self) -> tuple[Array, Array]:
-        """States (N, nx) and biases that suit all measurements best."""
+    def estimate(self, biased: BoolArray) -> tuple[Array, Array, Array]:
+        """States (N, nx) and biases that suit all measurements best, and freedom (ny,) they take.
+
+        Outputs that are not ``biased`` (ny,) have a bias of zero.
+        """
         states = self._states()
         response = self.C[0] @ states  # (N, outputs shared, 1 + nx)
         residual = self.y - response[:, :, 0] - self.steps.direct
-        z, bias = _fit_unknowns(residual, response[:, :, 1:], self.scale)
-        return states[:, :, 0] + states[:, :, 1:] @ z, bias
+        z, bias, taken = _fit_unknowns(residual, response[:, :, 1:], self.scale, biased)
+        return states[:, :, 0] + states[:, :, 1:] @ z, bias, taken
 
     def _states(self) -> Array:
         """Forced and free responses of the state, all bounded, (N, nx, 1 + nx).
@@ -313,16 +330,26 @@ def _split(system: StateSpace, span: float) -> tuple[Array, int]:
     return V, ns
 
 
-def _fit_unknowns(residual: Array, free: Array, scale: Array) -> tuple[Array, Array]:
-    """Least squares for free responses z (nx,) and biases b (ny,); missing samples are left out."""
+def _fit_unknowns(
+    residual: Array, free: Array, scale: Array, biased: BoolArray
+) -> tuple[Array, Array, Array]:
+    """Least squares for free responses z (nx,) and biases b (ny,); missing samples are left out.
+
+    Last, the degrees of freedom (ny,) that they take of each output's samples.
+    """
     # Columns are scaled to one; directions without effect on the outputs get zero.
     N, ny, nx = free.shape
-    biases = np.broadcast_to(np.eye(ny), (N, ny, ny))
-    columns = (np.concatenate([free, biases], axis=2) / scale[:, None]).reshape(N * ny, nx + ny)
-    target = (residual / scale).ravel()
+    biases = np.broadcast_to(np.eye(ny)[:, biased], (N, ny, biased.sum()))
+    columns = np.concatenate([free, biases], axis=2) / scale[:, None]
+    target = residual / scale
     there = ~np.isnan(target)
-    columns, target = columns[there], target[there]
-    size = np.linalg.norm(columns, axis=0)
+    size = np.linalg.norm(columns[there], axis=0)
     size[size == 0] = 1.0
-    solution = np.linalg.lstsq(columns / size, target, rcond=RANK)[0] / size
-    return solution[:nx], solution[nx:]
+    columns = np.where(there[:, :, None], columns / size, 0.0)
+    rows = columns.reshape(N * ny, -1)
+    solution = np.linalg.lstsq(rows, np.nan_to_num(target).ravel(), rcond=RANK)[0] / size
+    products = np.matmul(columns.transpose(1, 2, 0), columns.transpose(1, 0, 2))
+    inverse = np.linalg.pinv(products.sum(axis=0), rcond=DISTINCT, hermitian=True)
+    b = np.zeros(ny)
+    b[biased] = solution[nx:]
+    return solution[:nx], b, np.einsum("iab,ab->i", products, inverse)

@@ -19,8 +19,10 @@ from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution, Job
 from casid.model import Bounds, Model
+from casid.nonlinear.model import NonlinearModel
+from casid.prediction import PredictionPlan, predict
 from casid.record import Record
-from casid.records import stretches
+from casid.records import standard_deviations, stretches
 from casid.shooting.output_error import OutputError
 from casid.tabulation import markdown_table
 from casid.validation import validate
@@ -40,8 +42,9 @@ class StructureComparison:
         Candidates, the records left out in turn, what was predicted.
     errors : (candidates, manoeuvres, ny) array
         Root mean square errors on the record left out, all candidates simulated or all predicted,
-        with what initial states and biases take of the noise given back; infinite where a fit has
-        nothing to show, NaN of an output that the record has no sample of, which counts for none.
+        with the biases of the estimator, and with what these and initial states take of the noise
+        given back; infinite where a fit has nothing to show, NaN of an output that the record has
+        no sample of, which counts for none.
     noise : (ny,) array
         Standard deviation of the white noise among these, by the residuals' highest frequencies.
     parameters : tuple of int
@@ -177,6 +180,7 @@ def compare_structures(
     left = [i for part in parts for i in part]
     ways = estimator if isinstance(estimator, Mapping) else dict.fromkeys(candidates, estimator)
     check_known("no estimator for", candidates, ways)
+    biased = {name for each in candidates for name in _biased(ways[each], outputs)}
     noise = np.full((len(candidates), len(flown), len(outputs)), np.nan)
     errors = np.full(noise.shape, np.inf)
     fits: list[AnyFit | None] = []
@@ -203,7 +207,7 @@ def compare_structures(
         }
         rows, judged = list(shown), list(shown.values())
         for i in part if shown else ():
-            errors[rows, i], noise[rows, i] = _judged(judged, flown[i], outputs)
+            errors[rows, i], noise[rows, i] = _judged(judged, flown[i], outputs, biased)
     return StructureComparison(
         names=tuple(candidates),
         manoeuvres=tuple(flown[i].name for i in left),
@@ -280,23 +284,39 @@ def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tupl
     return first
 
 
+def _biased(estimator: Estimator, outputs: Sequence[str]) -> Collection[str]:
+    """Outputs of which an estimator takes a constant of every record for a bias."""
+    biases: bool | Collection[str] = getattr(estimator, "biases", True)
+    if isinstance(biases, bool):
+        return outputs if biases else ()
+    return biases
+
+
 def _judged(
-    fits: Sequence[AnyFit], record: Record, outputs: tuple[str, ...]
+    fits: Sequence[AnyFit], record: Record, outputs: tuple[str, ...], biased: Collection[str]
 ) -> tuple[Array, Array]:
     """Root mean square errors (fits, ny) on a record, all in one way, and noise.
 
-    Initial state and biases that follow the record take a degree of freedom each of its noise: a
-    structure with a state more would be better by that on every record.
+    Initial state and biases that follow the record take degrees of freedom of its noise: a
+    structure with a state more would be better by that on every record. Outputs that no estimator
+    gives a bias have none here: with one, a slow mode is a line for whatever drifts.
     """
     own = record.select(outputs=outputs)
     found = validate({str(k): fit for k, fit in enumerate(fits)}, own)
-    samples, errors, noise = np.isfinite(own.y).sum(axis=0), [], []
+    errors, noise, scale = [], [], standard_deviations([own])[1]
+    nothing: Array = np.zeros(len(outputs))
     for k, fit in enumerate(fits):
-        taken = 1 + len(fit.model.states) / len(outputs) if np.isinf(found.horizon[0]) else 0.0
+        y, taken = found.simulated[str(k)][0], nothing
+        seen = np.isfinite(own.y) & (np.arange(own.N) >= found.begins[0])[:, None]
+        if np.isinf(found.horizon[0]) and isinstance(fit.model, NonlinearModel):
+            taken = nothing + 1 + len(fit.model.states) / len(outputs)
+        elif np.isinf(found.horizon[0]):
+            whole = predict(fit.model.system(), own, scale, PredictionPlan(np.inf), biased)
+            y, taken = whole.y, nothing if whole.taken is None else whole.taken
+        square = np.sum((own.y - y) ** 2, axis=0, where=seen)
         with np.errstate(invalid="ignore", divide="ignore"):
-            errors.append(found.rms[str(k)][0] * np.sqrt(samples / (samples - taken)))
-        apart = own.y - found.simulated[str(k)][0]
-        noise.append([_white(e[np.isfinite(e)]) for e in apart.T])  # nor need they share a sample
+            errors.append(np.sqrt(square / (seen.sum(axis=0) - taken)))
+        noise.append([_white(e[np.isfinite(e)]) for e in (own.y - y).T])  # nor need they share any
     return np.array(errors), np.array(noise)
 
 

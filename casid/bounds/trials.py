@@ -20,10 +20,13 @@ from casid.jobs.store import Done
 from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
 from casid.matching.targets import Target
 from casid.model import Bounds, Model
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several
 from casid.shooting.precision import OutputErrorNotes
 from casid.values import decode, digest, encode
+
+SAME = 1e-9  # share of the largest singular value below which rows say nothing more
 
 Data: TypeAlias = Sequence[Record] | Sequence[Target] | Record | Target
 Draw: TypeAlias = Callable[[tuple[Any, ...]], tuple[Any, ...]]
@@ -183,7 +186,7 @@ def aicc(fit: AnyFit, records: Sequence[Record]) -> float:
 
     n counts the measurements; k the directions in which parameters are free, each by the variance
     its estimate has over that by the information (K. Takeuchi, Suri-Kagaku 153, 1976), and all that
-    was estimated beside them (N. Sugiura, Commun. Stat. A7, 1978).
+    was estimated beside them (N. Sugiura, Commun. Stat. A7, 1978), what two of these say once.
     """
     if not isinstance(fit.notes, OutputErrorNotes):
         return np.nan
@@ -191,4 +194,22 @@ def aicc(fit: AnyFit, records: Sequence[Record]) -> float:
     n = sum(int(np.isfinite(record.channel(name)).sum()) for record in records for name in outputs)
     w = weights(fit, np.eye(len(fit.free_names)))
     k = (w.sum() if len(w) else len(fit.free_names) - fit.held) + fit.notes.nuisances
+    k -= _told_twice(fit) * len(records)
     return 2 * fit.cost + 2 * k * n / (n - k - 1) if n > k + 1 else np.inf
+
+
+def _told_twice(fit: AnyFit) -> int:
+    """Directions of a record's initial state that its outputs do not feel, or as biases alone.
+
+    An integral's, beside a bias of it: C x(0) is constant where C Aⁿ x(0) = 0 for all n > 0.
+    """
+    if isinstance(fit.model, NonlinearModel):
+        return 0
+    system = fit.model.system()
+    exact = np.ones(system.ny, dtype=bool) if fit.biases is None else ~fit.biases.any(axis=0)
+    size = max(float(np.linalg.norm(system.A, 2)), 1e-300)
+    rows, power = [system.C[exact]], system.C
+    for _ in range(system.nx):
+        power = power @ system.A / size
+        rows.append(power)
+    return int(system.nx - np.linalg.matrix_rank(np.vstack(rows), rtol=SAME))

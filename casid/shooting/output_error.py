@@ -371,6 +371,7 @@ def _result(
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     constant = np.isin(free.model.states, free.model.constant_states)
     own = np.isin(free.model.states, start.states)
+    biased = ~np.isin(free.model.outputs, free.unbiased)  # others have none, but for rounding
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white)
     fit = Fit(
         model=model, parameters=parameters, cost=programme.n * final.cost, status=status,
@@ -383,7 +384,7 @@ def _result(
         constraints=constraint_table(model, prices, ties),
         held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,
-        initial_states=point.nodes[firsts][:, own], biases=point.bias,
+        initial_states=point.nodes[firsts][:, own], biases=point.bias * biased,
         interval=evaluator.layout.interval,
         state_biases=point.nodes[firsts][:, constant] if constant.any() else None,
     )  # fmt: skip

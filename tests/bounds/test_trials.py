@@ -4,11 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 from truths.closed_roll import TRUTH, flown
 from truths.mixture import NOISE as SIGMA
 from truths.mixture import Mixture, record
 
-from casid import ConvergenceError, Execution, OutputError, SolverOptions
+from casid import (
+    ConvergenceError,
+    Execution,
+    Model,
+    OutputError,
+    Record,
+    Scalar,
+    SolverOptions,
+    parameter,
+)
 from casid.bounds.trials import Fits, aicc, spelt_out, work
 from casid.jobs.transport import refer
 
@@ -39,6 +49,43 @@ def test_aicc_counts_what_was_estimated_and_no_more(settings, beside):
     fit = OutputError(**settings).fit(Mixture(), records)
     n = sum(each.N for each in records)
     assert aicc(as_white(fit), records) == pytest.approx(expected(fit, 3 + beside, n), rel=1e-12)
+
+
+class Integral(Model):
+    """Roll and its integral."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
+
+    Lp: Scalar = parameter(default=-2.0, lower=-10.0, upper=0.0, unit="1/s")
+    Lphi: Scalar = parameter(default=0.0, lower=-2.0, upper=2.0, unit="1/s^2")
+
+    def A(self):
+        return [[self.Lp, self.Lphi], [1, 0]]
+
+    def B(self):
+        return [[8.0], [0]]
+
+
+@pytest.mark.parametrize("biases", [True, ("p",), ("phi",), False], ids=str)
+@pytest.mark.parametrize("Lphi", [0.0, -0.3])
+def test_aicc_counts_initial_states_and_biases_that_outputs_tell_apart(biases, Lphi):
+    rng, t = np.random.default_rng(1), 0.05 * np.arange(200)
+    u = np.sign(np.sin(t))[:, None]
+    truth = Integral(Lphi=Lphi).system()
+    records = [
+        Record(t, u, truth.simulate(t, u, hold="zoh") + 0.02 * rng.standard_normal((200, 2)),
+               ("lat",), ("p", "phi"), f"r{k}", "zoh") for k in range(2)
+    ]  # fmt: skip
+    fit = OutputError(biases=biases, R=np.eye(2) * 0.02**2).fit(
+        Integral(Lphi=Lphi), records, fixed=("Lphi",)
+    )
+    names = {True: ("p", "phi"), False: ()}.get(biases, biases)
+    free = np.array([truth.C @ scipy.linalg.expm(truth.A * each) for each in t])
+    chosen = np.eye(2)[:, [name in names for name in ("p", "phi")]]
+    both = np.concatenate([free, np.broadcast_to(chosen, (200, 2, len(names)))], axis=2)
+    told = np.linalg.matrix_rank(both.reshape(400, -1), rtol=1e-8)
+    k = 1 + 2 * told
+    assert aicc(as_white(fit), records) == pytest.approx(expected(fit, k, 800), rel=1e-12)
 
 
 def flight():
