@@ -76,6 +76,8 @@ def _execute(path: Path) -> ModuleType:
         raise ModelError(f"{path}: Python cannot import it")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    if str(path.parent) not in sys.path:  # modules beside it, also what its methods import later
+        sys.path.append(str(path.parent))
     try:
         with time_limit(limits.USER_SECONDS):
             spec.loader.exec_module(module)

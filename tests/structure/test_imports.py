@@ -97,6 +97,21 @@ def path(monkeypatch):
     sys.modules.pop("gains_of_roll", None)
 
 
+def test_modules_beside_a_model_file_are_found_from_elsewhere(tmp_path, monkeypatch):
+    folder, late = gained(tmp_path / "beside", 3.0, "gains_beside"), "import gains_later\n"
+    text = (folder / "roll.py").read_text(encoding="utf-8")
+    method = text.replace("return [[G]]", f"{late}        return [[gains_later.G]]")
+    (folder / "late.py").write_text(method, encoding="utf-8")
+    (folder / "gains_later.py").write_text("G = 5.0\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    assert load_model("beside/roll.py:Roll")().system().B == 3.0
+    assert load_model("beside/late.py:Roll")().system().B == 5.0
+    assert {"gains_beside.py", "gains_later.py"} <= {
+        path.name for path, _ in imported_files(folder / "late.py")
+    }
+
+
 def test_a_module_of_the_same_name_of_another_folder_is_refused(tmp_path, path):
     one, other = gained(tmp_path / "one", 1.0), gained(tmp_path / "other", 4.0)
     path(one)
