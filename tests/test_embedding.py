@@ -131,7 +131,7 @@ def lagged(seed):
         yield Record(t=t, u=u, y=y, inputs=("lat", "ped"), outputs=("p", "r"), name=f"{k}")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_bands_hold_where_much_noise_hides_a_lag_that_is_left_out():
     held = []
     for seed in range(12):

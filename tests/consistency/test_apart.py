@@ -91,7 +91,7 @@ def test_attitudes_of_one_source_late_beside_others_are_named_and_no_rate_is(nam
     assert f"against rates, specific forces, {', '.join(rest)} and velocities" in remark
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_late_heading_spoils_no_skew_of_a_rate():
     z = []
     for seed in range(2):

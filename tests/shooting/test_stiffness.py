@@ -100,7 +100,7 @@ def test_where_the_method_diverges_an_estimate_is_no_estimate():
     assert not raised.value.best.success
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_where_the_method_diverges_is_no_information_about_a_lag():
     fit = output_error(Lag(), noisy(2), biases=False)
     assert fit["a"].std_error > -fit["a"].value

@@ -136,14 +136,10 @@ def thrusted(seed, lag, k=8.0, d=0.02):
     return Record(0.04 * np.arange(500), c[:, None], y, ("c",), ("T", "V"), "thrust", hold="zoh")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("seed", "lag"),
-    [
-        (1, 0.012),
-        pytest.param(2, 0.012, marks=pytest.mark.campaign),
-        pytest.param(4, 0.008, marks=pytest.mark.campaign),
-    ],
+    [(1, 0.012), (2, 0.012), (4, 0.008)],
 )
 def test_a_lag_far_shorter_than_the_guess_is_found(seed, lag):
     # One step a sample follows the guess's lag; on the way to the true one it diverges.
