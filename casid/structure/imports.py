@@ -10,6 +10,7 @@ import importlib.util
 import sys
 import sysconfig
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib.util import resolve_name
 from pathlib import Path
@@ -18,6 +19,17 @@ from casid.errors import ModelError, warn
 
 PACKAGE = Path(__file__).resolve().parents[1]
 _READ: dict[Path, tuple[object, str]] = {}  # of modules as they were imported
+
+
+@contextmanager
+def importable(folder: Path) -> Iterator[None]:
+    """A context in which modules of a folder are found, behind all others."""
+    name = str(folder)
+    sys.path.append(name)
+    try:
+        yield
+    finally:
+        del sys.path[len(sys.path) - 1 - sys.path[::-1].index(name)]
 
 
 def check_imports(path: Path) -> None:
@@ -62,11 +74,12 @@ def structure_files(path: str | Path) -> dict[Path, bytes]:
         if file not in seen:
             seen[file] = file.read_bytes()
             others = _libraries()  # not the user's
-            waiting += [
-                (each, parent)
-                for each, parent in imported_files(file, package)
-                if not any(map(each.is_relative_to, others))
-            ]
+            with importable(Path(path).resolve().parent):
+                waiting += [
+                    (each, parent)
+                    for each, parent in imported_files(file, package)
+                    if not any(map(each.is_relative_to, others))
+                ]
     return seen
 
 

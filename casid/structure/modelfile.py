@@ -11,7 +11,7 @@ from casid import limits
 from casid.errors import ModelError
 from casid.limits import TEXT_BYTES, OutOfTimeError, check_file, time_limit
 from casid.model import Model
-from casid.structure.imports import check_imports
+from casid.structure.imports import check_imports, importable
 
 
 def load_model(reference: str, folder: str | Path = ".") -> type[Model]:
@@ -76,10 +76,8 @@ def _execute(path: Path) -> ModuleType:
         raise ModelError(f"{path}: Python cannot import it")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    if str(path.parent) not in sys.path:  # modules beside it, also what its methods import later
-        sys.path.append(str(path.parent))
     try:
-        with time_limit(limits.USER_SECONDS):
+        with time_limit(limits.USER_SECONDS), importable(path.parent):
             spec.loader.exec_module(module)
     except OutOfTimeError as error:
         del sys.modules[name]

@@ -13,7 +13,9 @@ from truths.structures import HoverRoll
 from casid import (
     ConvergenceError,
     Execution,
+    Match,
     Model,
+    NonlinearModel,
     OutputError,
     Record,
     Scalar,
@@ -22,7 +24,7 @@ from casid import (
     parameter,
     validate,
 )
-from casid.bounds.manoeuvres import StructureComparison, Without, _judged, _parts
+from casid.bounds.manoeuvres import StructureComparison, Without, _biased, _judged, _parts
 
 RECORDS = campaign(1)
 HERE = Execution(executor=Inline())
@@ -143,7 +145,7 @@ class Integral(Bank):
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("biased", [("p", "phi"), ("p",), ()], ids=len)
+@pytest.mark.parametrize("biased", [("p", "phi"), ("phi",), ()], ids=len)
 @pytest.mark.parametrize("slow", [0.0, -0.3], ids=["integral", "slow"])
 def test_states_that_follow_the_record_gain_nothing_by_its_noise(slow, biased):
     """Noise alone, that states and biases of a structure take a part of: expected is its size."""
@@ -157,6 +159,45 @@ def test_states_that_follow_the_record_gain_nothing_by_its_noise(slow, biased):
     scatter = np.std(squares, axis=0) / np.sqrt(len(squares))
     np.testing.assert_allclose((np.mean(squares, axis=0) - 1) / scatter, 0.0, atol=3.5)
     assert (scatter < 0.014).all()  # one unknown of 40 samples is told
+
+
+@pytest.mark.second
+def test_what_no_estimator_takes_for_a_bias_is_an_error_of_the_manoeuvre():
+    fit = replace(output_error(Integral(), banked(1)[0], fixed=("Lp",)), model=Bank(Lphi=-0.3))
+    t, none = 0.05 * np.arange(100), np.zeros((100, 1))
+    y = np.column_stack([np.zeros(100), np.full(100, 0.5)])
+    record = Record(t, none, y, ("lat",), ("p", "phi"), "offset")
+    taken, own, left = (
+        _judged([fit], record, ("p", "phi"), biased)[0][0, 1]
+        for biased in (("p", "phi"), ("phi",), ("p",))
+    )
+    assert max(taken, own) < 1e-6
+    assert left > 0.05  # bank decays, a bias does not
+    outputs = Bank.outputs
+    given = (OutputError(), OutputError(biases=False), OutputError(biases=("p",)), Match())
+    assert [tuple(_biased(each, outputs)) for each in given] == [outputs, (), ("p",), outputs]
+
+
+class Curved(NonlinearModel):
+    """The same by equations."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
+
+    Lp: Scalar = parameter(default=-2.0, lower=-10.0, upper=0.0, unit="1/s")
+
+    def derivatives(self, x, u):
+        return [self.Lp * x.p - 0.3 * x.phi + 8.0 * u.lat, x.p]
+
+    def measurements(self, x, u):  # noqa: ARG002
+        return [x.p, x.phi]
+
+
+def test_states_and_biases_of_nonlinear_structures_take_as_much_of_every_output():
+    fit = replace(output_error(Integral(), banked(1)[0], fixed=("Lp",)), model=Curved())
+    record = banked(2)[0]
+    errors, _ = _judged([fit], record, record.outputs, record.outputs)
+    rms = validate({"curved": Curved()}, record).rms["curved"][0]
+    np.testing.assert_allclose(errors[0], rms * np.sqrt(200 / (200 - (1 + 2 / 2))), rtol=1e-9)
 
 
 def banked(seed):

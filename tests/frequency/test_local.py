@@ -172,6 +172,10 @@ def test_a_direct_term_that_cannot_be_seen_is_at_most_the_response_where_inputs_
         direct = least / np.abs(G[:, 0, 0]) * omega * dt / 2
         found = _between_samples([record], omega, G, random, 0, 5.0)[:, 0, 0]
         np.testing.assert_allclose(found, np.hypot(direct, (omega * dt) ** 2 / 12), rtol=1e-9)
+    G[2] = np.nan  # inputs that cannot be told apart there
+    found = _between_samples([record], omega, G, np.full(G.shape, 0.3), 0, 5.0)[:2, 0, 0]
+    direct = 2.0 / np.abs(G[:2, 0, 0]) * omega[:2] * dt / 2
+    np.testing.assert_allclose(found, np.hypot(direct, (omega[:2] * dt) ** 2 / 12), rtol=1e-9)
 
 
 def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():

@@ -7,7 +7,7 @@ import pytest
 
 from casid import DataWarning, ModelError
 from casid.jobs.origins import structure_digest
-from casid.structure.imports import imported_files
+from casid.structure.imports import imported_files, structure_files
 from casid.structure.modelfile import load_model
 
 MODEL = """
@@ -98,18 +98,14 @@ def path(monkeypatch):
 
 
 def test_modules_beside_a_model_file_are_found_from_elsewhere(tmp_path, monkeypatch):
-    folder, late = gained(tmp_path / "beside", 3.0, "gains_beside"), "import gains_later\n"
-    text = (folder / "roll.py").read_text(encoding="utf-8")
-    method = text.replace("return [[G]]", f"{late}        return [[gains_later.G]]")
-    (folder / "late.py").write_text(method, encoding="utf-8")
-    (folder / "gains_later.py").write_text("G = 5.0\n", encoding="utf-8")
+    folder, before = gained(tmp_path / "beside", 3.0, "gains_beside"), list(sys.path)
+    late = folder / "roll.py"
+    late.write_text(late.read_text(encoding="utf-8") + "\n    def C(self):\n        import later\n")
+    (folder / "later.py").touch()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    assert load_model("beside/roll.py:Roll")().system().B == 3.0
-    assert load_model("beside/late.py:Roll")().system().B == 5.0
-    assert {"gains_beside.py", "gains_later.py"} <= {
-        path.name for path, _ in imported_files(folder / "late.py")
-    }
+    assert load_model("beside/roll.py:Roll").states == ("p",)
+    assert {"gains_beside.py", "later.py"} <= {each.name for each in structure_files(late)}
+    assert sys.path == before
 
 
 def test_a_module_of_the_same_name_of_another_folder_is_refused(tmp_path, path):
