@@ -1,6 +1,5 @@
 """What an output-error solution says about its own precision."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -19,6 +18,7 @@ from casid.shooting.programme import Programme
 from casid.shooting.scores import NO_SCORES, RecordScores
 from casid.shooting.spectrum import NoiseSpectrum
 from casid.shooting.starting import channel_size
+from casid.shooting.whiteness import whitened
 from casid.values import seal, storable
 
 AWAY = 100.0  # times an output's size: no bias of an instrument
@@ -296,14 +296,8 @@ def _coloured(
     if programme.biases:
         bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
         move[:, nf + nx :] = bias[programme.record]
-    white = np.empty_like(sweep.motion.residuals)
-    for kind, W in enumerate(sweep.W):
-        mine = sweep.kind == kind
-        white[mine] = sweep.motion.residuals[mine] @ W.T
-    edges = np.cumsum([0, *(record.N for record in layout.records)])
-    residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
     data, (scores, shares) = uncertainty.coloured_covariance(
-        covariance, residuals, lambda root: sweep.influence(move[layout.node] @ root)
+        covariance, whitened(programme, x), lambda root: sweep.influence(move[layout.node] @ root)
     )
     n = len(programme.free.index)
     unit, known = s.lam[:n], covariance[:, :n]

@@ -1,0 +1,101 @@
+"""Whether innovations are white, against noise that is and gusts that are not."""
+
+import warnings
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.stats
+
+from casid import DataWarning, Model, Record, Scalar, output_error, parameter
+from casid.shooting.whiteness import LAGS, correlations
+
+DT, LAG = 0.1, 6.0  # s; of samples and gusts
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+def test_of_white_noise_they_are_standard_normal_whatever_is_missing(lost):
+    rng, squares = np.random.default_rng(1), []
+    for _ in range(300):
+        records = [rng.standard_normal((n, 3)) * (rng.random((n, 3)) >= lost) for n in (150, 250)]
+        squares.append(correlations(records) ** 2)
+    squares = np.array(squares)
+    assert squares[0].shape == (LAGS, 3, 3)
+    np.testing.assert_allclose(squares.mean(axis=(0, 1)), 1.0, atol=0.12)
+    total = squares.sum(axis=(1, 2, 3))
+    assert scipy.stats.kstest(total, scipy.stats.chi2(9 * LAGS).cdf).pvalue > 1e-3
+
+
+def test_what_follows_is_told_with_its_sign_and_lag():
+    e = np.random.default_rng(2).standard_normal((4000, 2))
+    e[3:, 1] -= 0.5 * e[:-3, 0]
+    found = correlations([e])
+    assert found[2, 0, 1] < -20
+    found[2, 0, 1] = 0.0
+    assert np.abs(found).max() < 4.5
+
+
+class Drifting(Model):
+    """Forward speed and pitch of something slow, in still or moving air."""
+
+    states, inputs, outputs = ("u", "q", "theta"), ("lon",), ("u", "q", "theta")
+
+    Xu: Scalar = parameter(default=-0.1, lower=-2.0, upper=0.0, unit="1/s")
+    Mu: Scalar = parameter(default=0.02, lower=-0.5, upper=0.5, unit="rad/(m s)")
+    Mq: Scalar = parameter(default=-0.8, lower=-5.0, upper=0.0, unit="1/s")
+    Mlon: Scalar = parameter(default=0.6, lower=0.0, upper=5.0, unit="1/s^2")
+
+    def A(self):
+        return [[self.Xu, 0, -9.80665], [self.Mu, self.Mq, 0], [0, 1, 0]]
+
+    def B(self):
+        return [[0], [self.Mlon], [0]]
+
+
+class Gusty(Drifting):
+    """With a gust along, a state of its own."""
+
+    states = ("u", "q", "theta", "gust")
+
+    def A(self):
+        return [
+            [self.Xu, 0, -9.80665, self.Xu], [self.Mu, self.Mq, 0, self.Mu],
+            [0, 1, 0, 0], [0, 0, 0, -1 / LAG],
+        ]  # fmt: skip
+
+    def B(self):
+        return [[0], [self.Mlon], [0], [0]]
+
+    def C(self):
+        return np.eye(3, 4)
+
+
+def flown(seed, gust):
+    """A pilot holds it; the gust is exact at the samples, held controls too."""
+    rng, system = np.random.default_rng(seed), Gusty().system()
+    whole = np.zeros((5, 5))
+    whole[:4, :4], whole[:4, 4:] = system.A, system.B
+    pulse = scipy.linalg.expm(whole * DT)
+    x, u, y = np.zeros(4), np.zeros(800), np.zeros((800, 3))
+    x[3] = gust * rng.standard_normal()
+    test = 0.05 * np.sign(np.sin(2 * np.pi * DT * np.arange(800) / rng.uniform(5, 9)))
+    for k in range(800):
+        y[k] = x[:3] + [0.1, 0.002, 0.002] * rng.standard_normal(3)
+        u[k] = test[k] - 0.9 * y[k, 2] - 0.6 * y[k, 1] + 0.02 * y[k, 0]
+        x = pulse[:4, :4] @ x + pulse[:4, 4] * u[k]
+        x[3] += gust * np.sqrt(1 - np.exp(-2 * DT / LAG)) * rng.standard_normal()
+    return Record(
+        DT * np.arange(800), u[:, None], y, ("lon",), ("u", "q", "theta"), f"{seed}", "zoh"
+    )
+
+
+@pytest.mark.slow
+def test_gusts_of_seconds_are_told_unless_they_have_a_state_of_their_own():
+    records = [flown(seed, 1.5) for seed in (1, 2)]
+    with pytest.warns(DataWarning, match="innovations are correlated in time"):
+        output_error(Drifting(), records, process_noise=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit = output_error(Gusty(), records, process_noise=True)
+    std = np.array([row.std_error for row in fit.parameters])
+    assert (np.abs(fit.model.vector() - Gusty().vector()) < 4 * std).all()
