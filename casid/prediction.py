@@ -342,11 +342,11 @@ def _fit_unknowns(
     biases = np.broadcast_to(np.eye(ny)[:, biased], (N, ny, biased.sum()))
     columns = np.concatenate([free, biases], axis=2) / scale[:, None]
     target = residual / scale
-    there = ~np.isnan(target)
-    size = np.linalg.norm(columns[there], axis=0)
-    size[size == 0] = 1.0
-    columns = np.where(there[:, :, None], columns / size, 0.0)
+    columns[np.isnan(target)] = 0.0
     rows = columns.reshape(N * ny, -1)
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0] = 1.0
+    rows /= size  # and with them the columns
     solution = np.linalg.lstsq(rows, np.nan_to_num(target).ravel(), rcond=RANK)[0] / size
     products = np.matmul(columns.transpose(1, 2, 0), columns.transpose(1, 0, 2))
     inverse = np.linalg.pinv(products.sum(axis=0), rcond=DISTINCT, hermitian=True)

@@ -19,19 +19,16 @@ from casid.fit import AnyFit
 from casid.linear import StateSpace
 from casid.model import Model
 from casid.record import Record
-from casid.sensors import ORDER, POLES, ZEROS, late_states
+from casid.sensors import late_states
 
 MUCH = 5.0  # standard deviations, of all samples together: estimates move by some fraction of it
 
 
 def warn_rounded(fit: AnyFit, records: Sequence[Record]) -> None:
     """Tell late outputs whose steps the approximation of their delay rounds."""
-    if fit.R is None:
-        return
     noise = np.sqrt(np.diag(np.asarray(fit.R)))
-    outputs = type(fit.model).outputs
-    for name in type(fit.model).late_outputs:
-        each = noise[outputs.index(name)]
+    for name in fit.model.late_outputs:
+        each = noise[fit.model.outputs.index(name)]
         off = np.concatenate([rounded(fit.model, name, record) for record in records])
         size = float(np.sqrt(np.nansum(off**2))) / each
         if size > MUCH:
@@ -45,20 +42,13 @@ def warn_rounded(fit: AnyFit, records: Sequence[Record]) -> None:
 
 def rounded(model: Model, name: str, record: Record) -> Array:
     """By how much the approximated delay of an output is off in a record, (N,); NaN where lost."""
-    system = model.system()
-    delay = float(model.sensors()[name].delay)
-    last = type(model).states.index(late_states(name)[-1])
-    direct = system.B[last : last + 1] * delay / POLES[0]
-    if not direct.any():
+    system, delay = model.system(), float(model.sensors()[name].delay)
+    late = [model.states.index(state) for state in late_states(name)]
+    if not system.B[late].any():
         return np.zeros(record.N)
-    F = np.eye(ORDER, k=1)
-    F[-1] = np.negative(POLES)
-    pulse = np.zeros((ORDER, 1))
-    pulse[-1] = POLES[0]
-    none = np.zeros((1, record.nu))
-    rounds = StateSpace(
-        F / delay, pulse @ direct / delay, np.array([ZEROS]), none, delay=system.delay
-    )
+    A, C = system.A[np.ix_(late, late)], system.C[[model.outputs.index(name)]][:, late]
+    direct, none = -C @ np.linalg.solve(A, system.B[late]), np.zeros((1, record.nu))
+    rounds = StateSpace(A, system.B[late], C, none, delay=system.delay)
     exact = StateSpace(-np.eye(1), none, np.zeros((1, 1)), direct, delay=system.delay + delay)
     u = record.u - record.u[0]
     one, other = (each.simulate(record.t, u, hold=record.hold) for each in (rounds, exact))
