@@ -25,8 +25,10 @@ def flown(seed, regime="cruise", **late):
         pytest.param("slow", "psi", 0.08, marks=pytest.mark.campaign),
         # all attitudes, p, r and ay
         pytest.param("fast", "theta", 0.08, marks=pytest.mark.campaign),
-        ("cruise", "u", 0.3),  # ax
-        ("slow", "v", 0.1),  # clocks of each record
+        # ax
+        pytest.param("cruise", "u", 0.3, marks=pytest.mark.campaign),
+        # clocks of each record
+        pytest.param("slow", "v", 0.1, marks=pytest.mark.campaign),
         ("fast", "w", -0.1),  # all velocities and ax
     ],
 )

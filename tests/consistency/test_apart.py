@@ -53,7 +53,7 @@ def test_a_late_reference_is_no_place_of_accelerometers(names):
         ((*bodies.ATTITUDES, *VELOCITIES), 0.06),
         (bodies.ATTITUDES, -0.06),
         (VELOCITIES, -0.06),
-        (bodies.ATTITUDES, 0.06),
+        pytest.param(bodies.ATTITUDES, 0.06, marks=pytest.mark.campaign),
     ],
     ids=str,
 )
@@ -73,7 +73,7 @@ HEADED = (*bodies.WHOLE, "psi")
 @pytest.mark.parametrize(
     "names",
     [
-        ("phi", "theta"),
+        pytest.param(("phi", "theta"), marks=pytest.mark.campaign),
         ("psi",),
         pytest.param(("phi",), marks=pytest.mark.campaign),
         pytest.param(("theta",), marks=pytest.mark.campaign),
@@ -112,7 +112,9 @@ def test_forces_late_beside_late_velocities_are_told_against_the_others():
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("names", [RATES, FORCES, (*RATES, *FORCES)], ids=str)
+@pytest.mark.parametrize(
+    "names", [RATES, pytest.param(FORCES, marks=pytest.mark.campaign), (*RATES, *FORCES)], ids=str
+)
 def test_nothing_stands_apart_where_rates_or_forces_are_late(names):
     check = kinematic_check(late(names, 0.1))
     assert check.apart.names == ()

@@ -31,8 +31,16 @@ def flown(clocks, outputs=OUTPUTS, late=ANGLES):
     ]
 
 
-@pytest.mark.parametrize("clocks", [(0.1, -0.2, 0.15), (0.0, 0.0, 0.3), (0.0, 0.03)], ids=str)
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "clocks",
+    [
+        pytest.param((0.1, -0.2, 0.15), marks=pytest.mark.campaign),
+        pytest.param((0.0, 0.0, 0.3), marks=pytest.mark.campaign),
+        (0.0, 0.03),
+    ],
+    ids=str,
+)
 def test_clocks_that_differ_are_told_record_by_record_and_no_scale_is(clocks):
     check = kinematic_check(flown(clocks))
     (said,) = check.remarks
@@ -53,12 +61,8 @@ def test_one_clock_of_all_records_is_none_of_each(clocks):
     assert {*check.shifts} == ({*RATES} if any(clocks) else set())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "late",
-    [pytest.param("uvw", marks=pytest.mark.campaign), bodies.ANGLES],
-    ids=["velocities", "attitudes"],
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("late", ["uvw", bodies.ANGLES], ids=["velocities", "attitudes"])
 def test_of_two_groups_the_one_that_is_late_is_told(late):
     # Rates agree with attitudes once either moves, gravity in the specific forces once one does.
     clocks = (0.1, -0.2, 0.15)
@@ -124,7 +128,7 @@ def test_the_best_scale_explains_as_much_as_that_of_scales_tried_one_by_one():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_one_late_channel_that_records_tell_of_unlike_well_is_no_clock(monkeypatch):
     # Of sweeps: each moves rates of its own, whose skews against one late attitude differ. By
     # no more than noise: none is reconstructed by itself.
