@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import casadi as ca
@@ -86,7 +87,7 @@ class Free:
         slopes = ca.Function("slopes", [lam], [ca.jacobian(c, lam)])
         return np.asarray(slopes(values).full())
 
-    @property
+    @cached_property
     def constraint_sizes(self) -> Array:
         """What typical moves of the parameters change of the model's constraints, (m,).
 
@@ -96,7 +97,7 @@ class Free:
         size = np.abs(slopes).sum(axis=1)
         return np.where((size > 0) & np.isfinite(size), size, 1.0)
 
-    @property
+    @cached_property
     def constraint_limits(self) -> Array:
         """Lower and upper limits of the model's constraints in those units, (2, m)."""
         sides = [(float(each.lower), float(each.upper)) for each in self.model.constraints()]
