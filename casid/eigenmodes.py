@@ -18,7 +18,10 @@ OSCILLATES = 1e-6  # imaginary part, relative to the modulus, that counts as an 
 SEEN = 1e-8  # smallest singular value of the Hautus matrix, relative, of a mode that is seen
 CLEAR = 0.6  # share of the states of one kind above which a mode is theirs
 
-LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+# Velocities along body axes, or airspeed with the angles of the flow: a structure has either.
+ALONG, ACROSS, ASIDE = ("u", "V"), ("w", "alpha"), ("v", "beta")
+LONGITUDINAL = (*ALONG, *ACROSS, "q", "theta")
+LATERAL = (*ASIDE, "p", "r", "phi")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,11 +160,12 @@ def _name(oscillates: bool, shares: Mapping[str, float]) -> tuple[str, float]:
         return sum(shares.get(x, 0.0) for x in states)
 
     if long > lat:
-        slow, fast = part("u", "theta"), part("w", "q")
+        slow, fast = part(*ALONG, "theta"), part(*ACROSS, "q")
         if oscillates:
             # Of q and theta alone each has half of it: without a speed there is no phugoid.
-            return ("phugoid", slow) if "u" in shares and slow > fast else ("short period", fast)
-        heave, pitch = part("w"), part("q", "theta")
+            flown = not shares.keys().isdisjoint(ALONG)
+            return ("phugoid", slow) if flown and slow > fast else ("short period", fast)
+        heave, pitch = part(*ACROSS), part("q", "theta")
         return ("heave subsidence", heave) if heave > pitch else ("pitch subsidence", pitch)
     if oscillates:
         return "Dutch roll", lat

@@ -41,6 +41,17 @@ def test_modes_of_a_helicopter_get_their_textbook_names():
     np.testing.assert_allclose([p for _, p in found], [p for _, p in expected], atol=5e-3)
 
 
+def test_airspeed_and_the_angles_of_the_flow_name_the_same_modes():
+    # Along nearly level body axes at 80 kn, V is u, α is w/V and β is v/V.
+    V = 80 * 0.514444
+    size = np.array([1 / V if name in "wv" else 1.0 for name in STATES])
+    names = [{"u": "V", "w": "alpha", "v": "beta"}.get(name, name) for name in STATES]
+    of_flow = modes(free_system(BO105 * size[:, None] / size, names))
+    assert [each.name for each in of_flow] == [
+        each.name for each in modes(free_system(BO105, STATES))
+    ]
+
+
 def test_numbers_of_a_mode_are_those_of_its_pole():
     system = StateSpace([[0, 1], [-4.0, -0.4]], [[0], [1]], np.eye(2), np.zeros((2, 1)))
     (mode,) = modes(system)
