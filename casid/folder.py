@@ -72,13 +72,9 @@ def claimed(folder: str | Path) -> Iterator[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / LOCK).open("a+", encoding="ascii")
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        printable = str(folder).replace("\0", "\\0")
-        raise ValueError(
-            f"output {printable}: cannot write results there ({reason}); name a folder that can "
-            "be written to, in the study or by --output"
-        ) from error
+    except (OSError, ValueError) as error:
+        remedy = "name a folder that can be written to, in the study or by --output"
+        raise _unwritable(f"output {folder}", error, remedy) from error
     with lock:
         if not _taken(lock):
             lock.seek(0)
@@ -90,6 +86,22 @@ def claimed(folder: str | Path) -> Iterator[Path]:
         for left in [*folder.glob(f".*{PARTIAL}"), *folder.glob(f"*/.*{PARTIAL}")]:
             left.unlink(missing_ok=True)
         yield folder
+
+
+def check_folder(folder: str | Path) -> None:
+    """Make a folder to keep results in, before these take long: ValueError if none can be."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        raise _unwritable(f"folder {folder}", error, "name one that can be written to") from error
+
+
+def _unwritable(what: str, error: OSError | ValueError, remedy: str) -> ValueError:
+    reason = getattr(error, "strerror", None) or str(error)
+    printable = what.replace("\0", "\\0")  # for which it is a ValueError
+    return ValueError(f"{printable}: cannot write results there ({reason}); {remedy}")
 
 
 def _taken(lock: IO[str]) -> bool:

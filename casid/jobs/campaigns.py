@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from casid.errors import DataWarning
+from casid.folder import check_folder
 from casid.jobs.store import Done, Store
 from casid.jobs.workers import OtherExecutor, OwnProcesses, Workers
 from casid.threads import alone, cores
@@ -106,10 +107,12 @@ def run_jobs(
     ``work(payload, start)``, a function of a module so that other processes find it, gets the
     encoded result the job starts from, or None. Results may hold the classes ``also``, beside
     casid's own. With ``here`` and no executor all stay in this process. Of a KeyboardInterrupt, the
-    user's, what is finished is kept.
+    user's, what is finished is kept. ValueError: nothing can be kept in the folder.
     """
     campaign = _Campaign(work, jobs, execution, Store(execution.folder, also))
     missing = len(jobs) - len(campaign.done)
+    if missing and execution.folder is not None:
+        check_folder(execution.folder)
     if missing and execution.executor is not None:
         campaign.run(OtherExecutor(execution.executor))
     elif missing and (here or len(jobs) <= FEW):

@@ -75,6 +75,15 @@ def test_finished_jobs_are_taken_from_the_folder_unless_their_key_differs(tmp_pa
     assert run_jobs(add, [job("b", 3)], kept)["b"].result == 3
 
 
+def test_a_folder_that_cannot_keep_results_is_refused_before_any_is_made(tmp_path):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below", "a\0b"):
+        seen: list[CampaignProgress] = []
+        with pytest.raises(ValueError, match=r"^folder .*cannot write results there .*name one"):
+            run_jobs(add, [job("a", 1)], Execution(folder=folder, progress=seen.append))
+        assert seen == []
+
+
 def test_progress_tells_how_long_the_rest_may_take():
     seen: list[CampaignProgress] = []
     run_jobs(add, [job("a", 1), job("b", None), job("c", 2)], Execution(progress=seen.append))
