@@ -147,9 +147,16 @@ def uncertain(fit: AnyFit, *, lacking: bool = False) -> Iterator[Caution]:
     typical = float(np.median(ratios)) if ratios else 1.0
     if typical > COLOURED:
         left = "the structure leaves dynamics out" if lacking else "look at structure or data"
+        answered = (
+            ""
+            if getattr(fit.notes, "K", None) is not None
+            else " They do not allow for a pilot or controller who answers what residuals hold, as "
+            "gusts or vibration, which biases estimates: compare those with process_noise, and "
+            "those of the frequency domain."
+        )
         yield Caution(
             f"Residuals are correlated in time: {left}. The standard errors allow for that; they "
-            f"are typically {typical:.1f} times the Cramér-Rao bound.",
+            f"are typically {typical:.1f} times the Cramér-Rao bound.{answered}",
             40,
         )
     if unsure := [row.name for row in rows if row.std_error > abs(row.value)]:

@@ -1,6 +1,7 @@
 """Verdicts and what to be careful about."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from casid.report import (
 )
 from casid.report.content import BLACK_BOX, CHOSEN
 from casid.report.evidence import noise_levels
-from casid.report.verdicts import Verdict, verdicts, word
+from casid.report.verdicts import Verdict, uncertain, verdicts, word
 from casid.stages.judgement import VALIDATION
 
 
@@ -63,6 +64,17 @@ def test_the_summary_goes_by_standard_errors_and_says_if_residuals_are_coloured(
     assert "typically 2.0 times the Cramér-Rao bound" in said(2.0)
     assert "sign of" not in said(2.0)  # 3 ± 2
     assert f"sign of {len(fit.parameters)} parameters is not determined" in said(4.0)
+
+
+@pytest.mark.parametrize(("gain", "told"), [(None, True), (np.eye(2), False)])
+def test_errors_of_coloured_residuals_do_not_allow_for_answers_to_gusts_but_a_filter_does(
+    gain, told
+):
+    row = {"name": "Lp", "value": 3.0, "fixed": False, "active": False, "multiplier": 0.0}
+    rows = (SimpleNamespace(**row, std_error=0.2, cramer_rao=0.1),)
+    (said,) = uncertain(SimpleNamespace(parameters=rows, notes=SimpleNamespace(K=gain)))
+    assert "typically 2.0 times the Cramér-Rao bound." in said.text
+    assert ("compare those with process_noise" in said.text) is told
 
 
 @pytest.mark.slow
