@@ -6,7 +6,7 @@ for all records. How fast each skew grows beside all else is told by what a reco
 is taken for right; the others are set right, and all is reconstructed anew.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,8 +20,9 @@ from casid.consistency.measured import Flight
 from casid.consistency.parting import reconstruct_level
 from casid.consistency.voting import SKEW, Late, apart, shared
 
-ROUNDS = 3  # of setting clocks right
-SURE = 4.5  # standard errors of a drift
+ROUNDS = 8  # of setting clocks right
+MAYBE, SURE = 2.5, 4.5  # standard errors of a drift that is tried, that is told
+RESTS = 0.25  # share of what matters that a drift set right may leave
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,19 +59,25 @@ def without_drifts(
 ) -> tuple[list[Flight], Instruments, Drifts]:
     """Flights with all clocks set right, what was found of them, and the drifts they had.
 
-    ``found`` are the instruments that the flights ask for as they are.
+    ``found`` are the instruments that the flights ask for as they are. By them, far from the truth,
+    drifts are tried that may be none; told are those which are sure once clocks are set right.
     """
-    set_right = [*flights]
     drifts = Drifts(duration=max(each.start + float(each.t[-1]) for each in flights))
+    tried, now = drifts, found
     for _ in range(ROUNDS):
-        if not (more := _drifts(found, equations, drifts.duration)):
+        clocks = _Clocks(now, equations, drifts.duration)
+        if not (more := clocks.drifting(tried.late)):
             break
-        before = {name: drifts.late.get(name, (0.0, 0.0))[0] for name in more}
-        grown = {name: (before[name] + late, error) for name, (late, error) in more.items()}
-        drifts = replace(drifts, late={**drifts.late, **grown})
-        set_right = [_at_once(each, drifts.remedy) for each in flights]
-        found = _less_certain(reconstruct_level(set_right, equations), drifts, set_right)
-    return set_right, found, drifts
+        grown = {name: tried.remedy.get(name, 0.0) - later for name, later in more.items()}
+        tried = replace(tried, late={**tried.late, **{n: (-by, np.nan) for n, by in grown.items()}})
+        now = reconstruct_level([_at_once(each, tried.remedy) for each in flights], equations)
+    sure = _Clocks(now, equations, drifts.duration).sure(tried)
+    if not sure.late:
+        return [*flights], found, drifts
+    set_right = [_at_once(each, sure.remedy) for each in flights]
+    if sure.late.keys() != tried.late.keys():
+        now = reconstruct_level(set_right, equations)
+    return set_right, _less_certain(now, sure, set_right), sure
 
 
 def _less_certain(found: Instruments, drifts: Drifts, flights: Sequence[Flight]) -> Instruments:
@@ -101,31 +108,65 @@ def _at_once(flight: Flight, drift: Mapping[str, float]) -> Flight:
     return replace(flight, values=values)
 
 
-def _drifts(found: Instruments, equations: Sequence[str], duration: float) -> dict[str, Late]:
-    """Clocks that drift by what matters and is no noise, as later against the one of most."""
-    value, scatter = found.drifts
-    velocities = [name for name in equations if name in VELOCITIES]
-    told = np.asarray(np.isfinite(scatter).all(axis=1))
-    clocks: list[tuple[tuple[str, ...], Array]] = []  # names; weights of the coefficients
-    for i, name in enumerate(found.channels):
-        if name in known(found) and told[i] and (told[-1] or name not in FORCES):
-            own = np.zeros(len(value))
-            own[i], own[-1] = 1.0, name in FORCES  # these against velocities, those as below
-            clocks.append(((name,), own))
-    if velocities and told[-1]:
-        clocks.append((tuple(velocities), np.eye(len(value))[-1]))
-    turned = tuple(name for name in equations if name in ATTITUDES)
-    clocks.append((turned, np.zeros(len(value))))
-    W = duration * np.array([own for _, own in clocks]) * told
-    late, spread = W @ np.where(told, value, 0.0), W @ np.where(told[:, None], scatter, 0.0)
-    C = spread @ spread.T  # s^2
-    odd: dict[str, Late] = {}
-    names = [names for names, _ in clocks]
-    right, *others = shared(late, C, names, [*map(len, names)])
-    for group in others:
-        later, error = apart(late, C, group, right)
-        # Errors of few stretches are rough, and what is known worse than it matters is no clock's.
-        if abs(later) > max(SKEW, SURE * error) and error <= SKEW:
-            drifting = [name for i in group for name in names[i]]
-            odd |= dict.fromkeys(drifting, (later / duration, error / duration))
-    return odd
+class _Clocks:
+    """How much later each clock is at the end of the longest record than at its start [s]."""
+
+    def __init__(self, found: Instruments, equations: Sequence[str], duration: float) -> None:
+        value, scatter = found.drifts
+        velocities = [name for name in equations if name in VELOCITIES]
+        told = np.asarray(np.isfinite(scatter).all(axis=1))
+        clocks: list[tuple[tuple[str, ...], Array]] = []  # names; weights of the coefficients
+        for i, name in enumerate(found.channels):
+            if name in known(found) and told[i] and (told[-1] or name not in FORCES):
+                own = np.zeros(len(value))
+                own[i], own[-1] = 1.0, name in FORCES  # these against velocities, those as below
+                clocks.append(((name,), own))
+        if velocities and told[-1]:
+            clocks.append((tuple(velocities), np.eye(len(value))[-1]))
+        turned = tuple(name for name in equations if name in ATTITUDES)
+        clocks.append((turned, np.zeros(len(value))))
+        W = duration * np.array([own for _, own in clocks]) * told
+        spread = W @ np.where(told[:, None], scatter, 0.0)
+        self.duration, self.names = duration, [names for names, _ in clocks]
+        self.late, self.covariance = W @ np.where(told, value, 0.0), spread @ spread.T
+
+    def drifting(self, tried: Mapping[str, Late]) -> dict[str, float]:
+        """Clocks that drift or, where ``tried``, do so still, by [s/s] against that of most."""
+        odd: dict[str, float] = {}
+        for own, right in self._moved(tried):
+            later, _ = apart(self.late, self.covariance, own, right)
+            if abs(later) > RESTS * SKEW:
+                odd |= dict.fromkeys(self._named(own), later / self.duration)
+        if odd:
+            return odd
+        most, *others = shared(self.late, self.covariance, self.names, [*map(len, self.names)])
+        for group in others:
+            later, error = apart(self.late, self.covariance, group, most)
+            if not {*self._named(group)} <= {*tried} and abs(later) > max(SKEW, MAYBE * error):
+                odd |= dict.fromkeys(self._named(group), later / self.duration)
+        return odd
+
+    def sure(self, tried: Drifts) -> Drifts:
+        """Those of the drifts tried that matter and are no noise, with their errors here.
+
+        Errors of few stretches are rough: the more so, the less is known for what matters.
+        """
+        told: dict[str, Late] = {}
+        for own, right in self._moved(tried.late):
+            names = self._named(own)
+            by, (_, error) = tried.late[names[0]][0], apart(self.late, self.covariance, own, right)
+            if abs(by) * self.duration > max(SKEW, SURE * error * max(1.0, error / SKEW)):
+                told |= dict.fromkeys(names, (by, error / self.duration))
+        return replace(tried, late=told)
+
+    def _moved(self, tried: Mapping[str, Late]) -> Iterator[tuple[list[int], list[int]]]:
+        """Clocks that were set right alike, and those that were not."""
+        right = [i for i, names in enumerate(self.names) if not {*names} & {*tried}]
+        for by in dict.fromkeys(late for late, _ in tried.values()):
+            alike = {name for name, (late, _) in tried.items() if late == by}
+            own = [i for i, names in enumerate(self.names) if {*names} <= alike]
+            if own and right:
+                yield own, right
+
+    def _named(self, group: Sequence[int]) -> list[str]:
+        return [name for i in group for name in self.names[i]]

@@ -19,7 +19,7 @@ import numpy as np
 from casid.arrays import Array
 
 FLOOR = 1e-13  # of information, next to the largest
-LEAST = 0.7  # share of the information that must be no noise's
+LEAST = 0.5  # share of the information that must be no noise's
 LEVEL = 0.5  # of the correction: its standard error, as noise is not quite white
 
 

@@ -14,9 +14,10 @@ ANGLES = (*RATES, "phi", "theta")
 WHOLE = (*RATES, *FORCES, *ATTITUDES, *VELOCITIES)
 
 
-def drifting(seed, drift, outputs=WHOLE, begin=0.0):
+def drifting(seed, drift, outputs=WHOLE, begin=0.0, noise=1.0):
     """A record some of whose channels are later by ``begin`` and from then on ``drift`` [s/s]."""
-    record, (signals, t) = flight(seed, None, NOISE, outputs), truth(seed)
+    level = {name: noise * std for name, std in NOISE.items()}
+    record, (signals, t) = flight(seed, None, level, outputs), truth(seed)
     now = signals(t)
     y = record.y.copy()
     for i, name in enumerate(outputs):
@@ -40,6 +41,22 @@ def test_a_drift_is_told_and_nothing_else(who, outputs, ppm):
     assert {*check.drifts.late} == {*who} & {*outputs}
     for late, error in check.drifts.late.values():
         assert abs(late - 1e-6 * ppm) < 3 * error < 6e-4
+
+
+@pytest.mark.second
+@pytest.mark.parametrize(
+    ("seed", "begin", "ppm", "noise"), [(1, 0.2, 4000, 1.0), (3, 0.0, 3000, 3.0)], ids=str
+)
+def test_a_large_drift_hides_neither_behind_a_lag_nor_behind_what_it_makes_of_the_noise(
+    seed, begin, ppm, noise
+):
+    record = drifting(seed, dict.fromkeys(ATTITUDES, 1e-6 * ppm), ANGLES, begin, noise)
+    check = kinematic_check(record)
+    assert {*check.drifts.late} == {"phi", "theta"}
+    late, error = check.drifts.late["phi"]
+    assert abs(late - 1e-6 * ppm) < 3 * error < 1e-3
+    for each in check.channels[:2]:
+        assert abs(each.skew + begin) < 3 * each.skew_error < 0.025
 
 
 @pytest.mark.second

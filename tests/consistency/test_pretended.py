@@ -39,12 +39,13 @@ def test_its_variance_covers_the_scatter():
 
 
 def test_of_what_is_mostly_noise_nothing_but_the_prior_is_known():
-    seen = Normal(np.diag([100.0, 100.0]), np.array([1.0, 1.0]))
-    pretended = Normal(np.diag([0.0, 90.0]), np.zeros(2))
+    seen = Normal(np.diag([100.0, 100.0, 100.0]), np.ones(3))
+    pretended = Normal(np.diag([0.0, 40.0, 90.0]), np.zeros(3))
     corrected = Corrected(seen, pretended)
-    np.testing.assert_allclose(corrected.step(), [0.01, 0.01])
-    one, other = np.diag(corrected.covariance(np.zeros((10, 2)), np.array([1.0, 3.0])))
+    np.testing.assert_allclose(corrected.step(), [0.01, 1 / 60, 0.01])
+    one, fair, other = np.diag(corrected.covariance(np.zeros((10, 3)), np.array([1.0, 2.0, 3.0])))
     assert one == pytest.approx(0.01)
+    assert fair == pytest.approx(100 / 60**2)  # slopes scatter as before, over three fifths
     assert other == pytest.approx(9.01)
 
 
