@@ -228,7 +228,7 @@ def _beside(poles: ComplexArray, error: StructureError) -> Array:
     In `pole_figures`; zero where none is near. A square of noise varies by √2 of its mean. Of equal
     poles the box's are those of one that any noise splits far: their mean stands for each.
     """
-    apart = np.abs(poles[:, None] - error.poles) / np.maximum(np.abs(poles), 1e-300)[:, None]
+    apart = np.abs(poles[:, None] - error.poles) / np.maximum(np.abs(poles), 1e-150)[:, None]
     mine, its = scipy.optimize.linear_sum_assignment(np.minimum(apart, SAME))
     near = apart[mine, its] < SAME
     equal = np.abs(poles[:, None] - poles) <= EQUAL * np.abs(poles)

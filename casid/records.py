@@ -96,7 +96,7 @@ def steps_told(records: Records, inputs: Collection[str]) -> list[str]:
         f"{listed(names)} move{'s' * (len(names) == 1)} in steps, read as straight lines between "
         "samples (hold foh): if a computer or a simulation held every value until the next, delays "
         f'come out up to {half}; read them with hold = "zoh" (read_csv, [channels] of a study). '
-        "A jump within one sample does not tell which is right; the costs of both fits may"
+        "A jump within one sample does not tell which is right: compare the costs of both fits"
     ]
 
 

@@ -240,6 +240,32 @@ def test_equal_poles_are_compared_with_the_mean_of_those_that_noise_split():
                 assert band.imag_std == pytest.approx(plain.imag_std)
 
 
+class Integral(Model):
+    """A pole that is zero, whatever the gain."""
+
+    states, inputs, outputs = ("phi",), ("lat",), ("phi",)
+    k: Scalar = parameter(default=0.5, lower=0.1, upper=5.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[0.0]]
+
+    def B(self) -> Rows:
+        return [[self.k]]
+
+
+def test_an_integrator_is_near_no_mode_of_the_black_box():
+    t = 0.02 * np.arange(500)
+    u = np.sin(1.3 * t)[:, None]
+    y = Integral(k=0.8).system().simulate(t, u)
+    y += 0.01 * np.random.default_rng(4).standard_normal(y.shape)
+    fit = output_error(Integral(), [Record(t, u, y, Integral.inputs, Integral.outputs, "turn")])
+    names = {"inputs": Integral.inputs, "outputs": Integral.outputs, "free_names": ("k",)}
+    whole = replace(error("true"), covariance=np.zeros((1, 1)), sure=0.0, **names)
+    far = np.array([-2.0, -3e10])  # some are all but at once
+    other = replace(whole, poles=far, pole_std=np.full((2, 2), 0.1))
+    assert mode_bands(fit, error=other) == mode_bands(fit)
+
+
 class RollYaw(Model):
     """Roll and yaw rates, and no actuators."""
 

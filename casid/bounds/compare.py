@@ -15,7 +15,7 @@ import numpy as np
 from casid.bounds.cases import Case, CaseSpec
 from casid.bounds.prices import CaseResult, price_case
 from casid.bounds.trials import Data, Fits, spelt_out
-from casid.display import Shown
+from casid.display import Shown, listed
 from casid.envelope import balance_of, flight_condition
 from casid.errors import warn
 from casid.estimator import Estimator
@@ -181,6 +181,7 @@ def compare_bounds(
         price_case(case, done[case.name], base, fits.data, judged, trim) for case in read
     )
     _warn_of_minima(results, freest)
+    _warn_of_narrowness(base, fits.cases({freest: {}})[0])
     return BoundsComparison(
         cases=results,
         freest=freest,
@@ -232,6 +233,18 @@ def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
                 f"{-case.increase:.3g}: the fit of {freest!r} is a local minimum; start it from "
                 "that case's model"
             )
+
+
+def _warn_of_narrowness(freest: tuple[Case, AnyFit | None], own: Case) -> None:
+    """What all cases hold has no price in any of them: nothing is said of what it costs."""
+    case, fit = freest
+    held = () if fit is None else [row.name for row in fit.parameters if row.active]
+    if common := [name for name in held if case.bounds[name] != own.bounds[name]]:
+        warn(
+            f"increases and prices count from {case.name!r}, the freest case, in which "
+            f"{listed(common)} {'is' if len(common) == 1 else 'are'} on bounds narrower than the "
+            "structure's own: add a case without any, free = {}, to see what those cost"
+        )
 
 
 ERRORS = ("std_error", "cramer_rao")

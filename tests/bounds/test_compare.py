@@ -8,6 +8,7 @@ from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 from truths.structures import black_box
 
 from casid import (
+    DataWarning,
     Execution,
     Match,
     Model,
@@ -337,3 +338,14 @@ def test_eigenvalues_of_a_nonlinear_structure_are_those_in_balance_where_it_was_
         with (tmp_path / "bounds_cases.csv").open(encoding="utf-8") as file:
             (row,) = csv.DictReader(file)
         assert row["linearised_at"] == found.linearised_at
+
+
+def test_what_all_cases_hold_is_said_to_have_no_price(recwarn):
+    def of(**cases):
+        return compare_bounds(Mixture(), TARGET, cases=cases, estimator=MATCHED, execution=HERE)
+
+    of(free={}, bound={"a": "< -2"})
+    assert not recwarn
+    of(wide={"a": "< 50"}, bound={"a": "< -2"})  # the structure's own bound holds nothing
+    with pytest.warns(DataWarning, match="count from 'bound'.*in which a is on bounds narrower"):
+        of(bound={"a": "< -2"}, narrow={"a": "< -3"})
