@@ -13,7 +13,8 @@ channel turns or moves; all terms of an equation are taken at the time of what t
 with (`casid.consistency.rigid.Sides`): a late θ in φ' would be read as a skew of q, u times a late
 q as an accelerometer's place. Scale and skew are one for all records. Biases are constant over a
 record and of its own: instruments drift from flight to flight, and trim is subtracted record by
-record.
+record. A pitch attitude neither recorded nor given, in φ' alone, is unknown in each record but of a
+credible size, `TILT`, and moves in straight lines between knots.
 
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
@@ -52,6 +53,8 @@ BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
 HELD = 1e-6  # s: the same of attitudes that share one clock
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
+TILT = 0.2  # tangent of a pitch attitude that is not known, its mean and what moves about it
+SLOW, KNOTS = 2.0, 60  # s from one value of it to the next, and the most of them in a record
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
 
 Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unknowns (1 + own, N)
@@ -76,9 +79,9 @@ def reconstruct(
     attitudes, reach = slice(2 * n, 2 * n + PLACED - 1), free.copy()
     if not parted:
         reach[attitudes] = HELD
-    x, biases, blocks, corrected, step = _solved(problem, reach)
+    x, own, blocks, corrected, step = _solved(problem, reach)
     parts = problem.whitened(blocks)
-    plain, flown = problem.normal(parts)
+    plain, flown = problem.normal(parts, own)
     pairs = [(one, problem.scores(parts, k)) for k, one in enumerate(flown)]
     scores = np.concatenate([one.scores(whole) for one, whole in pairs])
     loose = Corrected(plain + Normal(np.diag(free**-2.0), np.zeros(len(free))), plain * 0.0)
@@ -90,8 +93,9 @@ def reconstruct(
         channels=problem.channels,
         unknowns=x[:clock].reshape(n, 2),
         errors=errors[:clock].reshape(n, 2),
-        biases=biases,
-        bias_errors=np.sqrt([one.variances(whole, P) for one, whole in pairs]),
+        biases=own[:, :n],
+        bias_errors=np.sqrt([one.variances(whole, P)[:n] for one, whole in pairs]),
+        tilts=np.arctan(own[:, n:]),
         against=problem.against(),
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
         clocks=x[clock : clock + placed],
@@ -102,7 +106,7 @@ def reconstruct(
         place_errors=errors[-3:],
         parted=parted,
         parting=float(np.abs(loose.step()[attitudes]).max()),
-        coupled=problem.coupled(x, biases, parts),
+        coupled=problem.coupled(x, own, parts),
         held=max(flight.held for flight in flights),
         limits=problem.limits(parts, x),
         drifts=problem.drifts(blocks, parts),
@@ -112,22 +116,22 @@ def reconstruct(
 def _solved(
     problem: "_Reconstruction", reach: Array
 ) -> tuple[Array, Array, list[Block], Corrected, Array]:
-    """Unknowns that all share and biases, there the blocks, normal equations and the next step.
+    """Unknowns that all share and those of records, there blocks, normal equations, the next step.
 
     What noise pretends is evaluated once, where plain steps end, and carried on as a quadratic.
     """
     n = len(problem.channels)
     start = np.append(np.tile([1.0, 0.0], n), np.zeros(problem.placed + 3))
     prior, skews = reach**-2.0, [*range(1, 2 * n, 2), *range(2 * n, len(start) - 3)]
-    x, biases, pretended = start, np.zeros((problem.records, n)), None
+    x, own, pretended = start, np.zeros((problem.records, n + problem.knots)), None
     iteration = 0
     while True:
-        blocks = problem.blocks(x, biases)
+        blocks = problem.blocks(x, own)
         if iteration in REGAIN:
             problem.fit_gains(blocks, x[: 2 * n : 2])
         if iteration <= REGAIN[-1]:
             problem.fit_sizes(blocks)
-        plain, flown = problem.normal(problem.whitened(blocks))
+        plain, flown = problem.normal(problem.whitened(blocks), own)
         seen = plain + Normal(np.diag(prior), prior * (start - x))
         corrected = Corrected(seen, pretended or plain * 0.0)
         step = corrected.step()
@@ -135,16 +139,16 @@ def _solved(
         if (near and pretended) or iteration == ITERATIONS + CORRECTIONS:
             break
         if pretended is None and (near or iteration == ITERATIONS):
-            pretended = problem.pretended(x, biases, plain)
+            pretended = problem.pretended(x, own, plain)
             corrected = Corrected(seen, pretended)
             step = corrected.step()
         step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4).clip(
             -LATE - x[skews], LATE - x[skews]
         )
-        x, biases = x + step, biases + [one.step(step) for one in flown]
+        x, own = x + step, own + [one.step(step) for one in flown]
         pretended = pretended and pretended.after(step)
         iteration += 1
-    return x, biases, blocks, corrected, step
+    return x, own, blocks, corrected, step
 
 
 class _Reconstruction:
@@ -164,8 +168,12 @@ class _Reconstruction:
             if OWN[name] == each or WHOLE[each] <= there
         }
         self.channels = tuple(name for name in (*RATES, *FORCES) if name in judged & there)
+        self.shared = 2 * len(self.channels) + self.placed + 3
         found, self.of = np.unique([flight.record for flight in flights], return_inverse=True)
         self.records = len(found)
+        end = max((each.start + each.t[-1] for each in flights if each.tilts), default=-np.inf)
+        self.apart = max(SLOW, end / KNOTS)
+        self.knots = int(max(np.ceil(end / self.apart) + 1, 0))
         self.splines = []  # cubic pieces between samples, (4, N - 1) each
         products = (*TURNED, *(VELOCITIES if alone in VELOCITIES else ()))
         turned = tuple(name for name in products if name in flights[0].values)
@@ -194,15 +202,15 @@ class _Reconstruction:
         """Which unknowns stand in an equation."""
         factors, n = self.terms[0][equation][0], len(self.channels)
         own = [i for i, name in enumerate(self.channels) if name in factors]
-        shared = 2 * n + self.placed + 3
-        found = [k for i in own for k in (2 * i, shared + i, 2 * i + 1)]
-        common = range(2 * n, shared - 3 * (equation not in VELOCITIES))
-        return np.array([*found, *common])
+        found = [k for i in own for k in (2 * i, self.shared + i, 2 * i + 1)]
+        common = range(2 * n, self.shared - 3 * (equation not in VELOCITIES))
+        tilts = self.shared + n + np.arange(self.knots * (equation == "phi"))
+        return np.array([*found, *common, *tilts])
 
-    def blocks(self, x: Array, biases: Array) -> list[Block]:
+    def blocks(self, x: Array, own: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""
         found = []
-        for sides, k in zip(self._sides(x, biases), self.of, strict=True):
+        for sides, k in zip(self._sides(x, own), self.of, strict=True):
             flight = sides.flight
             for each in self.equations:
                 slopes, f = sides.of(each)
@@ -213,22 +221,22 @@ class _Reconstruction:
                 found.append((each, int(k), F))
         return found
 
-    def _sides(self, x: Array, biases: Array) -> list[Sides]:
+    def _sides(self, x: Array, own: Array) -> list[Sides]:
         """Right-hand sides of every flight at these unknowns."""
         n = 2 * len(self.channels)
         shared, clocks, place = x[:n].reshape(-1, 2), x[n:-3], x[-3:]
         found = []
         for flight, k, pieces in zip(self.flights, self.of, self.splines, strict=True):
-            rows = zip(self.channels, np.insert(shared, 1, biases[k], axis=1), strict=True)
-            found.append(
-                Sides(flight, pieces, dict(rows), self.equations, clocks, place, self.alone)
-            )
+            biases, knots = np.split(own[k], [len(self.channels)])
+            table = dict(zip(self.channels, np.insert(shared, 1, biases, axis=1), strict=True))
+            known = pieces, table, self.equations, clocks, place, self.alone
+            found.append(Sides(flight, *known, knots, self.apart))
         return found
 
-    def coupled(self, x: Array, biases: Array, parts: Sequence[Block]) -> tuple[float, float]:
+    def coupled(self, x: Array, own: Array, parts: Sequence[Block]) -> tuple[float, float]:
         """How many times the coupling of attitudes is flown beside once, and its error."""
         more = []
-        for sides in self._sides(x, biases):
+        for sides in self._sides(x, own):
             for each in self.equations:
                 turns = sides.coupling(each) if each in ATTITUDES else np.zeros(len(sides.flight.t))
                 F = integral(turns[:, None], sides.flight.dt).T
@@ -249,23 +257,26 @@ class _Reconstruction:
             size = np.sqrt(np.mean(np.concatenate(mine) ** 2) + floor**2 + 1e-300)
             self.sizes[each] = float(size)
 
-    def normal(self, parts: Sequence[Block]) -> tuple[Normal, list[Eliminated]]:
-        """Normal equations without a prior, of all records together and of each."""
-        biased = len(self.channels)
-        n = 3 * biased + self.placed + 3
+    def normal(self, parts: Sequence[Block], own: Array) -> tuple[Normal, list[Eliminated]]:
+        """Normal equations of all records and of each; of priors only that of pitch attitudes."""
+        n = self.shared + len(self.channels) + self.knots
         found = [Normal(np.zeros((n, n)), np.zeros(n)) for _ in range(self.records)]
         for each, k, rows in parts:
-            own, products = self.columns[each], rows @ rows.T
-            found[k].information[np.ix_(own, own)] += products[1:, 1:]
-            found[k].slope[own] += products[1:, 0]
-        flown = [Eliminated(whole, n - biased) for whole in found]
+            at, products = self.columns[each], rows @ rows.T
+            found[k].information[np.ix_(at, at)] += products[1:, 1:]
+            found[k].slope[at] += products[1:, 0]
+        first, prior = n - self.knots, TILT**-2 * (np.eye(self.knots) - 1 / (1 + self.knots))
+        for whole, tilts in zip(found, own[:, len(self.channels) :], strict=True):
+            whole.information[first:, first:] += prior
+            whole.slope[first:] -= prior @ tilts
+        flown = [Eliminated(whole, self.shared) for whole in found]
         return sum((one.shared for one in flown[1:]), flown[0].shared), flown
 
-    def pretended(self, x: Array, biases: Array, plain: Normal) -> Normal:
+    def pretended(self, x: Array, own: Array, plain: Normal) -> Normal:
         """The noise's part of the normal equations, found by adding as much noise again."""
         found = plain * -1.0
         for other in self._noisier:
-            noisy, _ = other.normal(other.whitened(other.blocks(x, biases)))
+            noisy, _ = other.normal(other.whitened(other.blocks(x, own)), own)
             found += noisy * (1 / len(self._noisier))
         return found
 
@@ -382,7 +393,7 @@ class _Reconstruction:
                 continue
             step = max(1, round(BATCH / (first.dt * first.step(each))))
             starts = np.arange(0, rows.shape[1], step)
-            found.append(np.zeros((len(starts), 3 * len(self.channels) + self.placed + 3)))
+            found.append(np.zeros((len(starts), self.shared + len(self.channels) + self.knots)))
             sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
             found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)

@@ -19,6 +19,7 @@ class Instruments:
     errors: Array  # (channels, 2) standard errors
     biases: Array  # (records, channels), after the gain
     bias_errors: Array  # (records, channels)
+    tilts: Array  # (records, knots) pitch attitudes that are not known [rad]
     against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
     clocks: Array  # (3,) by how much `CLOCKS` are later than φ [s]; (4,) with the one alone

@@ -44,6 +44,11 @@ class Flight:
         n = len(next(iter(self.values.values())))
         return np.asarray(self.dt * np.arange(n))
 
+    @property
+    def tilts(self) -> bool:
+        """Whether its pitch attitude is neither recorded nor given."""
+        return "theta" not in self.values and not self.level.get("theta")
+
     def own(self, name: str) -> Array:
         """A channel at its own samples, of which slower ones have fewer."""
         return self.values[name][self.rows[name]] if name in self.rows else self.values[name]

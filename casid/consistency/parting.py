@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casid.consistency.flightpath import reconstruct
+from casid.consistency.flightpath import TILT, reconstruct
 from casid.consistency.instruments import CLOCKS, Instruments
 from casid.consistency.measured import Flight
 from casid.consistency.voting import SKEW, significant
@@ -20,7 +20,7 @@ from casid.consistency.voting import SKEW, significant
 SURE = 2.5  # standard errors from none at all that the coupling is flown
 OTHER = 0.3  # how far from once that may be, or
 ERRORS = 3.0  # so many standard errors
-TILT = 0.1  # rad: what an unknown pitch attitude may be
+STEEP = 0.45  # rad: the most of an unknown pitch attitude, root mean square
 
 
 def reconstruct_apart(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
@@ -41,13 +41,22 @@ def _coupled(found: Instruments) -> bool:
 
 
 def reconstruct_level(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
-    """The reconstruction; errors are wider where pitch attitude is neither recorded nor given."""
-    solution = reconstruct_apart(flights, equations)
-    if not {"phi", "r"} <= {*flights[0].values} or any(
-        each.level.get("theta", TILT) for each in flights
-    ):
-        return solution
-    other = reconstruct_apart([replace(each, level={"theta": TILT}) for each in flights], equations)
-    apart = np.hypot(solution.errors, other.unknowns - solution.unknowns)
-    biases_apart = np.hypot(solution.bias_errors, other.biases - solution.biases)
-    return replace(solution, errors=apart, bias_errors=biases_apart)
+    """The reconstruction; no unknown pitch attitude is beyond `STEEP`."""
+    found = reconstruct_apart(flights, equations)
+    # Beyond, none may stand in for what does not follow; should it be true, errors tell of it.
+    numbers = np.unique([each.record for each in flights])
+    held = {
+        k: float(np.clip(tilts.mean(), -TILT, TILT))
+        for k, tilts in zip(numbers, found.tilts, strict=True)
+        if np.linalg.norm(tilts) > STEEP * len(tilts) ** 0.5
+    }
+    if not held:
+        return found
+    fixed = [
+        replace(each, level={"theta": held[each.record]}) if each.record in held else each
+        for each in flights
+    ]
+    solution = reconstruct_apart(fixed, equations)
+    errors = np.hypot(solution.errors, found.unknowns - solution.unknowns)
+    bias_errors = np.hypot(solution.bias_errors, found.biases - solution.biases)
+    return replace(solution, errors=errors, bias_errors=bias_errors)

@@ -106,10 +106,12 @@ class Sides:
     clocks: Array  # (3,) of `CLOCKS`, later than φ [s]; last, how late the one is that is alone
     place: Array  # (3,) of the accelerometers [m]
     alone: str = ""  # an attitude or velocity with a clock of its own
+    knots: Array = field(default_factory=lambda: np.zeros(0))  # tan θ if it is not known
+    apart: float = 1.0  # from one to the next [s]
     _at: dict[float, tuple[Moved, Moved, Moved, Values]] = field(default_factory=dict)
 
     def of(self, equation: str) -> tuple[list[Array], Array]:
-        """Slopes by gain, bias, skew of its channels, by clocks and place; the side (N,)."""
+        """Slopes by gain, bias, skew of its channels, by clocks, place, knots; the side (N,)."""
         clock = self._clock(equation)
         moved, turned, true, known = self._seen(clock)
         factors, _ = terms_of(equation, self.flight, known)
@@ -126,6 +128,8 @@ class Sides:
         if equation in VELOCITIES:
             arms = -lever_of(true)[VELOCITIES.index(equation)]
             return [*slopes, *arms.T], f + arms @ self.place
+        if equation == "phi":  # by tan θ, in which it is linear
+            slopes += [*(tilts["theta"] * np.cos(known["theta"]) ** 2 * self._hats())]
         return slopes, f
 
     def coupling(self, equation: str) -> Array:
@@ -143,11 +147,19 @@ class Sides:
         if clock not in self._at:
             moved, turned = self._moved(clock), self._turned(clock)
             true = self._true(moved)
-            n, level = len(self.flight.t), self.flight.level
-            tilt = {name: np.full(n, level.get(name, 0.0)) for name in TURNED}
+            level = np.zeros(len(self.flight.t))
+            tilt = {name: level + self.flight.level.get(name, 0.0) for name in TURNED}
+            if self.flight.tilts:
+                tilt["theta"] = np.arctan(self.knots @ self._hats())
             now = {name: x for name, (x, _) in (true | turned).items()}
             self._at[clock] = moved, turned, true, tilt | self.flight.values | now
         return self._at[clock]
+
+    def _hats(self) -> Array:
+        """What each knot has of every instant, (knots, N): none where θ is known."""
+        at = (self.flight.start + self.flight.t) / self.apart
+        off = np.abs(at - np.arange(len(self.knots))[:, None])
+        return np.asarray(np.maximum(0.0, 1.0 - off) * self.flight.tilts)
 
     def _moved(self, clock: float) -> dict[str, tuple[Array, Array]]:
         """Rates and forces at the instants of a clock."""

@@ -521,3 +521,32 @@ def test_no_gyro_is_blamed_for_a_pitch_rate_that_was_not_recorded(bank):
     assert found.remarks == ()
     assert [each.channel for each in found.channels] == ["p"]
     assert "r was not checked: there is no q, there is no theta" in found.notes
+
+
+@pytest.mark.second
+@pytest.mark.parametrize("scale", [1.0, 1.3])
+def test_a_roll_gyro_is_judged_where_pitch_moves_unrecorded_and_yaw_goes_with_roll(scale):
+    def flown(seed):
+        rng = np.random.default_rng([4, seed])
+        phase, size = rng.uniform(0, 2 * np.pi, 9), np.deg2rad(rng.uniform(10, 20))
+
+        def rates(t):
+            swing = np.sin(np.outer(np.ravel(t), [0.5, 1.1, 1.9]) + phase[:3])
+            other = np.sin(np.outer(np.ravel(t), [0.7, 1.3, 2.3]) + phase[3:6])
+            p = swing @ [0.1, 0.1, 0.1]
+            r = 0.8 * p + 0.2 * other @ [0.1, 0.1, 0.1]
+            q = 0.4 * size * np.cos(0.4 * np.ravel(t) + phase[6])
+            return np.squeeze(np.column_stack([p, q, r]))
+
+        t, angles = euler(rates, [0.0, size * np.sin(phase[6]), 0.0], 0.02)
+        y = np.column_stack([scale * rates(t)[:, 0], rates(t)[:, 2], angles[:, 0]])
+        y += 0.003 * rng.standard_normal(y.shape)
+        return Record(t, np.zeros((len(t), 0)), y, (), ("p", "r", "phi"), f"{seed}")
+
+    for seed in range(3):
+        check = kinematic_check(flown(seed))
+        (p,) = check.channels
+        assert abs(p.scale - (scale - 1)) < 0.1  # what matters: of q sin φ tan θ nothing is known
+        said = [remark.split(":")[0] for remark in check.remarks]
+        assert len(said) == (scale != 1.0)
+        assert all(re.match(r"p is 1\.\d+ ± 0\.0\d+ times what phi implies", each) for each in said)

@@ -8,9 +8,10 @@ from truths import bodies
 from truths.logs import ANGLES, RATES, flight
 
 from casid import Record, kinematic_check
-from casid.consistency.flightpath import reconstruct
+from casid.consistency.flightpath import TILT, reconstruct
 from casid.consistency.measured import Flight
 from casid.consistency.parting import reconstruct_apart, reconstruct_level
+from casid.samples import root_mean_square
 
 OMEGA, PHASE = np.array([0.7, 1.1, 1.9, 2.6]), np.array([0.3, 2.0, 4.1, 5.2])
 TURNING = ("p", "q", "r", "phi", "theta", "psi")
@@ -67,39 +68,66 @@ def test_small_angles_are_not_called_late():
     assert kinematic_check(record).shifts == {}
 
 
-def tilted(rng, tilt, **known):
-    """Bank of a flight at a pitch attitude, which is recorded, given or neither."""
-    t = 0.02 * np.arange(1500)
-    bank = waves(t, 0, -1) + np.tan(tilt) * waves(t, 0.3, -1) + 0.002 * rng.standard_normal(1500)
-    values = {"p": waves(t), "r": waves(t, 0.3), "phi": bank}
-    level = {} if "theta" in known else {"theta": known.get("level", 0.0)}
-    if "theta" in known:
-        values["theta"] = np.full(1500, known["theta"])
-    return Flight(0.02, 0, values, level=level)
+TIME = 0.02 * np.arange(1500)
 
 
-def test_where_pitch_attitude_is_not_known_errors_tell_of_it():
-    rng = np.random.default_rng(6)
-    unknown = [tilted(rng, 0.0), tilted(rng, 0.0)]
-    level = reconstruct(unknown, ["phi"])
-    other = reconstruct([replace(each, level={"theta": 0.1}) for each in unknown], ["phi"])
-    wide = reconstruct_level(unknown, ["phi"])
-    np.testing.assert_array_equal(wide.unknowns, level.unknowns)
-    expected = np.sqrt(level.errors**2 + (other.unknowns - level.unknowns) ** 2)
-    np.testing.assert_allclose(wide.errors, expected, rtol=1e-12)
-    expected = np.sqrt(level.bias_errors**2 + (other.biases - level.biases) ** 2)
-    np.testing.assert_allclose(wide.bias_errors, expected, rtol=1e-12)
-    assert (wide.errors[0] > 3 * level.errors[0]).all()
+def tilted(rng, tangent, scale=1.0, level=0.0, *, late=0.3, share=1.0):
+    """A flight at a pitch attitude (tangent) that is not recorded: φ' = p + r cos φ tan θ.
+
+    r cos φ is a share of what p was.
+    """
+    bank = waves(TIME, 0, -1) + share * tangent * waves(TIME, late, -1)
+    r = share * waves(TIME, late) / np.cos(bank)
+    bank = bank + 0.002 * rng.standard_normal(len(TIME))
+    values = {"p": scale * waves(TIME), "r": r, "phi": bank}
+    return Flight(0.02, 0, values, level={"theta": level})
 
 
-@pytest.mark.parametrize("known", [{"theta": 0.0}, {"theta": 0.1}, {"level": 0.05}], ids=str)
-def test_a_pitch_attitude_recorded_or_given_in_any_flight_leaves_errors_alone(known):
-    rng = np.random.default_rng(6)
-    flights = [tilted(rng, 0.0, **known), tilted(rng, 0.0)]
-    if "theta" in known:
-        flights = flights[:1]
-    plain, found = reconstruct(flights, ["phi"]), reconstruct_level(flights, ["phi"])
-    np.testing.assert_array_equal(found.errors, plain.errors)
+def test_an_unknown_pitch_attitude_is_found_beside_the_scale():
+    for seed in range(4):
+        flights = [
+            replace(tilted(np.random.default_rng([seed, k]), tan, 1.3), record=k)
+            for k, tan in enumerate((0.15, -0.1))
+        ]
+        found = reconstruct_level(flights, ["phi"])
+        gain, error = found.unknowns[0, 0], found.errors[0, 0]
+        assert abs(gain - 1 / 1.3) < 4 * error < 0.04
+        means = found.tilts.mean(axis=1)
+        np.testing.assert_allclose(means, np.arctan([0.15, -0.1]), atol=0.02)
+
+
+def test_where_yaw_is_a_share_of_roll_a_credible_pitch_attitude_is_all_that_is_known():
+    level = tilted(np.random.default_rng(6), 0.0, late=0.0, share=0.5)
+    found = reconstruct_level([level], ["phi"])
+    # Of a mean known to TILT and of knots about it, which are known as well each.
+    expected = 0.5 * TILT * np.sqrt(1 + 1 / found.tilts.shape[1])
+    assert found.errors[0, 0] == pytest.approx(expected, rel=0.1)
+    assert abs(found.unknowns[0, 0] - 1) < 0.02
+
+
+@pytest.mark.parametrize("known", ["recorded", "given"])
+def test_a_pitch_attitude_recorded_or_given_is_no_unknown(known):
+    rng, tan = np.random.default_rng(6), 0.1
+    flight, free = tilted(rng, tan, level=np.arctan(tan)), tilted(rng, tan)
+    if known == "recorded":
+        flight.values["theta"] = np.full(len(TIME), np.arctan(tan))
+    found = reconstruct_level([flight], ["phi"])
+    assert found.tilts.size == 0
+    assert found.errors[0, 0] < reconstruct_level([free], ["phi"]).errors[0, 0]
+    if known == "given":  # in one of two records
+        both = reconstruct_level([free, replace(flight, record=1)], ["phi"])
+        assert abs(both.tilts[0].mean() - np.arctan(tan)) < 0.02
+        np.testing.assert_allclose(both.tilts[1], 0.0, atol=1e-12)
+
+
+def test_no_pitch_attitude_stands_in_for_what_turns_otherwise():
+    rng = np.random.default_rng(2)
+    steep = tilted(rng, 1.5, late=2.0)
+    free, found = reconstruct([steep], ["phi"]), reconstruct_level([steep], ["phi"])
+    assert root_mean_square(free.tilts) > 0.8
+    assert (found.errors > np.abs(found.unknowns - free.unknowns)).all()  # were it true
+    assert found.tilts.size == 0
+    assert np.std(found.left["phi"][0]) > 0.3 * np.std(steep.values["phi"])
 
 
 def test_without_yaw_rate_pitch_attitude_does_not_matter():
