@@ -68,8 +68,9 @@ def without_drifts(
         clocks = _Clocks(now, equations, drifts.duration)
         if not (more := clocks.drifting(tried.late)):
             break
-        grown = {name: tried.remedy.get(name, 0.0) - later for name, later in more.items()}
-        tried = replace(tried, late={**tried.late, **{n: (-by, np.nan) for n, by in grown.items()}})
+        before = {name: tried.late.get(name, (0.0, 0.0))[0] for name in more}
+        grown = {name: (before[name] + later, np.nan) for name, later in more.items()}
+        tried = replace(tried, late={**tried.late, **grown})
         now = reconstruct_level([_at_once(each, tried.remedy) for each in flights], equations)
     sure = _Clocks(now, equations, drifts.duration).sure(tried)
     if not sure.late:
