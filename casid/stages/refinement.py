@@ -67,7 +67,8 @@ def _better_as_steps(
 ) -> float:
     """By how much the log-likelihood gains where inputs are held between samples, -inf if unknown.
 
-    Steps are half a sample later than lines, so much shorter are delays; the rest is as it was.
+    Steps are half a sample later than lines, so much shorter are delays; the rest is as it was, and
+    prior values count on both sides.
     """
     model, half = fit.model, max(record.dt for record in records) / 2
     late = {
@@ -77,9 +78,12 @@ def _better_as_steps(
     }
     kept = [name for name in fit.free_names if name not in late][:1]  # one has to be free
     held = [name for name in model.parameter_names() if name not in kept]
-    steps = [replace(record, hold="zoh") for record in records]
+    steps, read = [replace(record, hold="zoh") for record in records], replace(model, **late)
+    names = sorted({*held} & {*fit.free_names} & {*(priors := settings.priors or {})})
+    off = [(getattr(read, name) - priors[name][0]) / priors[name][1] for name in names]
+    pull = float(np.square(off).sum()) / 2
     try:
-        return fit.cost - _cost(settings, replace(model, **late), steps, held, fit)
+        return fit.cost - pull - _cost(settings, read, steps, held, fit)
     except (ValueError, ConvergenceError):  # nothing is told where it fails
         return -np.inf
 

@@ -95,6 +95,23 @@ def test_how_much_likelier_steps_are_is_what_a_fit_of_initial_states_and_biases_
     assert _better_as_steps(settings, fit, records) < fit.cost - there.cost + 1e-3
 
 
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_prior_values_make_no_steps_likelier(domain):
+    plain, records = OutputError(domain=domain), [noisy(1)]
+    found = plain.fit(TRUTH, records)["Lp"]
+    priors = {"Lp": (found.value + 8 * found.std_error, found.std_error)}
+    with pytest.warns(DataWarning, match="prior"):
+        fit = replace(plain, priors=priors).fit(TRUTH, records)
+    assert ((fit["Lp"].value - priors["Lp"][0]) / priors["Lp"][1]) ** 2 / 2 > 6
+    held = [name for name in fit.free_names if name != "Yv"]  # one has to be free
+    late = replace(fit.model, tau=fit["tau"].value - T[1] / 2)
+    steps = [replace(record, hold="zoh") for record in records]
+    lines = plain.fit(fit.model, records, fixed=held, near=fit)
+    there = plain.fit(late, steps, fixed=held, near=fit)
+    better = _better_as_steps(replace(plain, priors=priors), fit, records)
+    assert better == pytest.approx(lines.cost - there.cost, abs=4)  # of one that was free there
+
+
 def test_its_section_counts_what_was_free_and_warns_of_bounds():
     fit = output_error(TRUTH, noisy(1), bounds={"Lp": (-2.0, 0.0)}, fixed=("tau",))
     other = replace(fit, method="match")
