@@ -6,7 +6,7 @@ from itertools import combinations
 from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Content
-from casid.report.evidence import WORSE, significant_differences
+from casid.report.evidence import WORSE, comparable, significant_differences
 from casid.report.verdicts import GOOD, Verdict
 from casid.validation import Validation
 
@@ -79,14 +79,18 @@ def not_believed(content: Content, fit: AnyFit) -> str:
     """Which parameters not to believe, in a sentence."""
     reasons = doubted(content, fit)
     if not reasons:
-        agreed = ", and no other estimate disagrees" if len(content.fits) > 1 else ""
+        told = any(comparable(*pair) for pair in combinations(content.fits.values(), 2))
+        agreed = ", and no other estimate disagrees" if told else ""
         return f"No parameter is on a bound or of unknown sign{agreed}."
     parts = []
     for kind, words in WORDS.items():
         if names := [name for name, found in reasons.items() if kind in found]:
             parts.append(f"{len(names)} {words} ({listed(names, NAMED)})")
     count = len(fit.free_names) or len(fit.parameters)
-    return f"Do not believe {len(reasons)} of {counted(count, 'parameter')}: {'; '.join(parts)}."
+    said = f"Do not believe {len(reasons)} of {counted(count, 'parameter')}: {'; '.join(parts)}."
+    if any("held" in found for found in reasons.values()):
+        said += " Errors of all others and of modes take the bounds that hold for right."
+    return said
 
 
 WORDS = {

@@ -334,10 +334,12 @@ def draw_poles(content: Content) -> Iterator[Drawing]:
 
 def _poles(content: Content) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.0))
-    axes = figure.subplots(1, 2, squeeze=False)
+    axes, drawn = figure.subplots(1, 2, squeeze=False), systems(content)
     for ax in axes.flat:
-        figures.plot_poles(ax, systems(content))
-    axes[0, 1].set(xlim=(-SLOW, 0.4 * SLOW), ylim=(-SLOW, SLOW))
+        figures.plot_poles(ax, drawn)
+    growing = [pole.real for each in drawn.values() for pole in each.poles() if abs(pole) <= SLOW]
+    axes[0, 1].set(xlim=(-SLOW, max(0.4 * SLOW, 1.1 * max(growing, default=0.0))))
+    axes[0, 1].set(ylim=(-SLOW, SLOW))
     legend_above(figure, axes[0, 0])
     return place_axes(figure, axes)
 

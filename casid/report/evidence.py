@@ -121,6 +121,12 @@ def differences(content: Content) -> Iterator[Caution]:
             )
 
 
+def comparable(one: AnyFit, other: AnyFit) -> bool:
+    """Whether two fits state an error of any parameter, by which they may differ."""
+    spreads = (np.hypot(row.std_error, other[row.name].std_error) for row in one.parameters)
+    return any(0 < spread < np.inf for spread in spreads)
+
+
 def significant_differences(one: AnyFit, other: AnyFit) -> dict[str, float]:
     """Parameters on which two fits differ by more than their errors allow: standard errors."""
     found = {}

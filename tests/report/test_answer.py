@@ -84,12 +84,17 @@ def test_every_parameter_in_doubt_is_named_with_its_reasons(content):
     assert all("unsure" in found[row.name] for row in rows[1:])
     said = not_believed(page, worried)
     assert f"{len(rows)} of {len(rows)} parameters: 1 held by a bound ({rows[0].name})" in said
+    assert said.endswith("Errors of all others and of modes take the bounds that hold for right.")
     sure = [dataclasses.replace(row, std_error=1e-9 * abs(row.value)) for row in fit.parameters]
     alone = dataclasses.replace(content, models={})
     certain = dataclasses.replace(fit, parameters=tuple(sure))
     assert not_believed(alone, certain) == "No parameter is on a bound or of unknown sign."
     agreeing = dataclasses.replace(content, models={"one": certain, "other": certain})
     assert "no other estimate disagrees" in not_believed(agreeing, certain)
+    none = [dataclasses.replace(row, std_error=np.nan) for row in sure]
+    without = dataclasses.replace(certain, parameters=tuple(none))  # a match states no errors
+    untold = dataclasses.replace(content, models={"one": certain, "other": without})
+    assert "disagrees" not in not_believed(untold, certain)
 
 
 @pytest.mark.slow

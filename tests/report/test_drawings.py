@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from casid.channels import units_of
 from casid.report import (
     write_report,
 )
-from casid.report.drawings import with_states
+from casid.report.drawings import draw_poles, with_states
 
 
 @pytest.mark.slow
@@ -56,6 +57,16 @@ def test_no_label_covers_another_or_leaves_the_paper(content):
         for name in names:
             assert name.x0 >= paper.x0, drawing.name
             assert name.count_overlaps([*names, *ticks]) == 1, drawing.name  # itself
+
+
+@pytest.mark.parametrize("growing", [0.1, 1.08, 1.95, 7.0])
+def test_no_slow_eigenvalue_is_outside_the_enlarged_plane(growing):
+    unstable = StateSpace(np.diag([-1.97, growing]), np.eye(2), np.eye(2), np.zeros((2, 2)))
+    (drawing,) = draw_poles(SimpleNamespace(models={"one": unstable}))
+    left, right = drawing.figure.axes[1].get_xlim()
+    assert left < -1.97
+    assert right > growing or growing > 2.0
+    assert right <= 2.2  # enlarged
 
 
 @pytest.mark.parametrize("states", [(), ("r",), ("r", "p")])
