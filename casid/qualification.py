@@ -97,6 +97,21 @@ class Qualification(Shown):
         """Outputs without a tolerance."""
         return tuple(name for name in self.validation.outputs if name not in self.outputs)
 
+    @property
+    def still(self) -> tuple[str, ...]:
+        """Records of which no output leaves the band about its first sample.
+
+        A model that does nothing passes them too.
+        """
+        columns = [self.validation.outputs.index(name) for name in self.outputs]
+        judged = ~np.isnan(self.largest)
+        found = zip(self.records, self.validation.measured, self.width, judged, strict=True)
+        return tuple(
+            name
+            for name, record, half, those in found
+            if those.any() and not _left(record.y[:, columns], half)[those].any()
+        )
+
     def headline(self) -> str:
         """Passed, failed, and what could not be judged."""
         judged, told = ~np.isnan(self.largest), ""
@@ -104,6 +119,8 @@ class Qualification(Shown):
             told += f"; failed: {listed(failed)}"
         if noisy := self.named(self.chance < EVEN):
             told += f"; noise alone may leave the band: {listed(noisy)}"
+        if self.still:
+            told += f"; nothing leaves the band of trim in {listed(self.still)}"
         if none := self.named(~judged):
             told += f"; not judged: {listed(none)}"
         if self.idle:
@@ -178,6 +195,13 @@ def qualify(
         source=SOURCE if usual else "a table of the user",
         idle=() if usual else tuple(each for each in tolerances if each not in outputs),
     )
+
+
+def _left(y: Array, half: Array) -> BoolArray:
+    """Which outputs (N, n) leave a band about their first sample."""
+    seen = np.isfinite(y)
+    first = np.take_along_axis(y, seen.argmax(axis=0)[None], axis=0)
+    return np.asarray((np.where(seen, np.abs(y - first), 0.0) > half).any(axis=0))
 
 
 def check_tolerances(names: Iterable[str], outputs: Iterable[str]) -> None:

@@ -43,6 +43,19 @@ def test_a_model_passes_until_its_error_leaves_the_band():
     assert "0 of 1 passed; failed: p of step" in repr(wrong)
 
 
+def test_a_record_in_which_nothing_moves_is_named():
+    moved, rest = flown(), flown(0.0, np.full((500, 1), 2.9 * DEG))
+    assert qualify(moved).still == ()
+    found = qualify(rest)
+    assert (found.passed.all(), found.still) == (True, ("step",))
+    assert "nothing leaves the band of trim in step" in found.headline()
+    y = np.zeros((500, 1))
+    y[300] = 3.1 * DEG  # the usual band is of 3 deg/s or, of what grows, 10 %
+    assert qualify(flown(0.0, y)).still == ()
+    y[300] = np.nan
+    assert qualify(flown(0.0, y)).still == ("step",)
+
+
 def test_a_band_that_noise_alone_may_leave_is_named():
     rng, noise, seen = np.random.default_rng(5), 0.3 * DEG, flown()
     # By counting: how often noise of that size stays in the band over all of the record.
@@ -98,10 +111,11 @@ def test_an_output_that_the_model_lacks_or_that_nobody_measured_is_not_judged():
     ]
     has = StateSpace([[-2.0]], [[4.0]], [[1.0]] * 2, [[0.0]] * 2, None, ("lat",), ("p", "phi"))
     seen = validate({"lacks": lacks, "has": has}, records)
-    told = "lacks: 2 of 2 passed; not judged: phi of whole, phi of part"
+    rest = "; nothing leaves the band of trim in whole, part"
+    told = f"lacks: 2 of 2 passed{rest}; not judged: phi of whole, phi of part"
     assert qualify(seen, "lacks").headline() == told
     found = qualify(seen, "has")
-    assert found.headline() == "has: 3 of 3 passed; not judged: phi of part"
+    assert found.headline() == f"has: 3 of 3 passed{rest}; not judged: phi of part"
     assert summary(found).splitlines()[-1].endswith("| not judged |")
     nothing = qualify(seen, "lacks", {"phi": "3 deg"}).headline()
     assert nothing == "lacks: 0 of 0 passed; not judged: phi of whole, phi of part"

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from casid import report
+from casid.display import listed
 from casid.qualification import (
     EVEN,
     TOLERANCES,
@@ -67,6 +68,15 @@ def _show(found: Qualification, content: Content) -> Iterable[Section]:
     said = [Caution(f"Out of the tolerance band: {', '.join(failed)}.", 15)] if failed else []
     if noisy := found.named(found.chance < EVEN):
         said.append(Caution(f"Noise alone may leave the tolerance band: {', '.join(noisy)}.", 16))
+    if found.still:
+        named = listed(found.still)
+        said.append(
+            Caution(
+                f"Nothing leaves the tolerance band of trim in {named}: that a model passes there "
+                "says nothing of it.",
+                16,
+            )
+        )
     if none:
         said.append(Caution(f"Not judged by the tolerance bands: {', '.join(none)}.", 15))
     draw = partial(report.drawings.draw_qualification, found, content.units)
