@@ -226,6 +226,10 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
         ["Out of the tolerance band: phi of random.",
          "Noise alone may leave the tolerance band: phi of random."],
     ),
+    "held to a band that nothing leaves": (
+        [("[match]", '[qualification.tolerances]\np = "900 deg/s"\n\n[match]')], None, None,
+        ["Nothing leaves the tolerance band of trim in random: that a model passes there"],
+    ),
     "of records that disagree": (
         [], None, delayed("3211", column=2, samples=5),
         ["Records 3211 and sweep disagree: in 3211 p is 1",
