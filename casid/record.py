@@ -385,7 +385,7 @@ class Record(Shown):
             if np.isnan(head).all():
                 raise ValueError(
                     f"record {self.name!r}: output {name!r} has no sample in its first {n}; "
-                    'pass detrend="mean" or the trim itself'
+                    'pass the trim of another record, or detrend="mean" if samples follow'
                 )
             means[name] = float(np.nanmean(head))
         return means
