@@ -52,6 +52,8 @@ def test_a_record_in_which_nothing_moves_is_named():
     y = np.zeros((500, 1))
     y[300] = 3.1 * DEG  # the usual band is of 3 deg/s or, of what grows, 10 %
     assert qualify(flown(0.0, y)).still == ()
+    y[0] = np.nan
+    assert qualify(flown(0.0, y)).still == ()
     y[300] = np.nan
     assert qualify(flown(0.0, y)).still == ("step",)
 

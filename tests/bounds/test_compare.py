@@ -345,6 +345,9 @@ def test_what_all_cases_hold_is_said_to_have_no_price(recwarn):
         return compare_bounds(Mixture(), TARGET, cases=cases, estimator=MATCHED, execution=HERE)
 
     of(free={}, bound={"a": "< -2"})
+    ours = {"bounds": {"a": (-50, -2)}, "estimator": MATCHED, "execution": HERE}
+    own = compare_bounds(Mixture(), TARGET, cases={"free": {}, "narrow": {"a": "< -3"}}, **ours)
+    assert any(row.active for row in own["free"].parameters)
     assert not recwarn
     of(wide={"a": "< 50"}, bound={"a": "< -2"})  # the structure's own bound holds nothing
     with pytest.warns(DataWarning, match="count from 'bound'.*in which a is on bounds narrower"):

@@ -7,6 +7,7 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight, truth
 
 from casid import kinematic_check
+from casid.consistency.drifts import Drifts, _Clocks
 from casid.consistency.innovations import growing, integral
 
 ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
@@ -57,6 +58,21 @@ def test_a_large_drift_hides_neither_behind_a_lag_nor_behind_what_it_makes_of_th
     assert abs(late - 1e-6 * ppm) < 3 * error < 1e-3
     for each in check.channels[:2]:
         assert abs(each.skew + begin) < 3 * each.skew_error < 0.025
+
+
+@pytest.mark.parametrize(
+    ("late", "error", "told"),
+    [(0.009, 1e-4, False), (0.011, 1e-4, True), (0.035, 0.008, False), (0.037, 0.008, True),
+     (0.17, 0.02, False), (0.19, 0.02, True)],
+)  # fmt: skip
+def test_a_drift_is_sure_by_four_and_a_half_errors_and_more_of_those_that_are_rough(
+    late, error, told
+):
+    clocks = _Clocks.__new__(_Clocks)
+    clocks.duration, clocks.names = 60.0, [("p",), ("phi", "theta")]
+    clocks.late, clocks.covariance = np.zeros(2), np.diag([error**2, 0.0])
+    sure = clocks.sure(Drifts(late={"p": (late / 60, np.nan)}, duration=60.0))
+    assert [*sure.late.values()] == ([pytest.approx((late / 60, error / 60))] if told else [])
 
 
 @pytest.mark.second

@@ -8,7 +8,7 @@ import pytest
 from truths.pages import changed
 
 from casid.report.answer import doubted, not_believed, predictions_told, ranked, theil_place
-from casid.report.evidence import differences
+from casid.report.evidence import comparable, differences
 from casid.report.verdicts import Verdict
 
 
@@ -70,6 +70,23 @@ def test_an_error_of_the_noise_is_called_so_and_no_other_reason_given():
 
 def test_the_picture_ends_at_one_half():
     assert (theil_place(0.0), theil_place(0.25), theil_place(2.0)) == (0.0, 50.0, 100.0)
+
+
+def estimate(error):
+    return {"Lp": SimpleNamespace(name="Lp", std_error=error)}
+
+
+class Estimates(dict):
+    parameters = property(dict.values)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "told"),
+    [(0.1, 0.2, True), (0.1, 0.0, True), (0.0, 0.0, False), (0.1, np.nan, False),
+     (0.1, np.inf, False)],
+)  # fmt: skip
+def test_estimates_can_be_compared_where_both_have_errors(one, other, told):
+    assert comparable(Estimates(estimate(one)), Estimates(estimate(other))) is told
 
 
 @pytest.mark.slow
