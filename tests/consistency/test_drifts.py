@@ -7,8 +7,10 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight, truth
 
 from casid import kinematic_check
-from casid.consistency.drifts import Drifts, _Clocks
+from casid.consistency.drifts import Drifts, _Clocks, without_drifts
 from casid.consistency.innovations import growing, integral
+from casid.consistency.measured import Flight
+from casid.consistency.parting import reconstruct_level
 
 ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
 ANGLES = (*RATES, "phi", "theta")
@@ -73,6 +75,21 @@ def test_a_drift_is_sure_by_four_and_a_half_errors_and_more_of_those_that_are_ro
     clocks.late, clocks.covariance = np.zeros(2), np.diag([error**2, 0.0])
     sure = clocks.sure(Drifts(late={"p": (late / 60, np.nan)}, duration=60.0))
     assert [*sure.late.values()] == ([pytest.approx((late / 60, error / 60))] if told else [])
+
+
+@pytest.mark.second
+def test_what_was_tried_and_is_not_sure_is_not_set_right(monkeypatch):
+    record = drifting(1, {"p": 1e-3}, ANGLES)
+    flight = Flight(record.dt, 0, dict(zip(ANGLES, record.y.T, strict=True)))
+    equations = ("phi", "theta")
+    # 8 ms of q within 40 s are less than what matters.
+    found, rounds = reconstruct_level([flight], equations), iter([{"p": 1e-3, "q": 2e-4}, {}])
+    monkeypatch.setattr(_Clocks, "drifting", lambda *_: next(rounds))
+    (right,), now, drifts = without_drifts([flight], equations, found)
+    assert {*drifts.late} == {"p"}
+    np.testing.assert_array_equal(right.values["q"], flight.values["q"])
+    expected = reconstruct_level([right], equations)
+    np.testing.assert_array_equal(now.unknowns, expected.unknowns)
 
 
 @pytest.mark.second
