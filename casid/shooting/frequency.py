@@ -17,6 +17,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.assembly import evaluated
+from casid.free import Free
 from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.lines import Lines
 from casid.shooting.secants import Secants
@@ -164,6 +165,13 @@ class SpectralProgramme:
         other._last = (lam / scales).tobytes(), state
         return other
 
+    def released(self, free: Free) -> "SpectralProgramme":
+        """The same under other bounds, which the likelihood does not depend on."""
+        residuals = SpectralResiduals(free, self.residuals.lines)
+        other = SpectralProgramme(residuals, self.spectra, self.scales)
+        other._last = self._last
+        return other
+
 
 def measurements(lines: list[Lines]) -> float:
     """Number of real measurements on the lines."""
@@ -219,7 +227,7 @@ def search(
     rough = replace(options, tolerance=max(ROUGH, options.tolerance))
     spectra, lam, highest, secants = white(lines), start, 0.0, Secants()
     if last is None:  # what a poor start leaves is no noise: its spectrum would excuse it
-        first = _round(SpectralProgramme(residuals, spectra, scales), start, None, rough)
+        first = _begun(SpectralProgramme(residuals, spectra, scales), start, rough)
         if first.solution.success:
             last, lam = replace(first, settled=False), first.lam
     while True:
@@ -232,7 +240,7 @@ def search(
             outcome = _round(SpectralProgramme(residuals, spectra, scales), lam, last, options)
             return replace(outcome, settled=True)
         highest = max(highest, reach(lines, taken, TAIL))
-        part = SpectralResiduals(free, [each.below(highest) for each in lines])
+        part = residuals.below(highest)
         plan = options if secants.used else rough  # secants are of exact ends
         last = _round(SpectralProgramme(part, spectra, scales), lam, last, plan)
         ahead = np.clip(secants.ahead(lam, last.lam, last.F), *limits)
@@ -241,6 +249,16 @@ def search(
         if not last.solution.success or last.rounds >= ROUNDS:
             whole = SpectralProgramme(residuals, spectra, last.programme.scales)
             return replace(last, programme=whole, settled=False)
+
+
+def _begun(programme: SpectralProgramme, start: Array, options: SolverOptions) -> SpectralOutcome:
+    """The first round, on the lines that tell of the start."""
+    state, residuals = programme.state(start / programme.scales), programme.residuals
+    if state is not None:
+        highest = reach(residuals.lines, leverages(state.residuals, state.F), TAIL)
+        part = residuals.below(highest)
+        programme = SpectralProgramme(part, programme.spectra, programme.scales)
+    return _round(programme, start, None, options)
 
 
 def _round(

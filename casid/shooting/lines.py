@@ -29,6 +29,7 @@ class Lines:
     """One record in the frequency domain."""
 
     record: Record
+    dt: float  # its sampling interval [s]
     kind: int  # number of the kind of manoeuvre, whose records share a noise spectrum
     z: ComplexArray  # (K,)
     omega: Array  # (K,) [rad/s]
@@ -84,7 +85,7 @@ def _lines(record: Record, kind: int) -> Lines:
     angle = 2 * np.pi * k / N
     weight = np.where(2 * k == N, 1.0, 2.0)
     held = replace(record, y=whole.y)
-    return Lines(held, kind, np.exp(1j * angle), angle / record.dt, weight, Y, seen)
+    return Lines(held, record.dt, kind, np.exp(1j * angle), angle / record.dt, weight, Y, seen)
 
 
 def held_lines(held: DelayedInput, n: int, count: int) -> tuple[ComplexArray, Array]:

@@ -15,7 +15,7 @@ from casid.arrays import Array
 from casid.free import Free
 from casid.nlp import SolverOptions
 from casid.shooting.delays import Delay, Heard, breaking, own_prices
-from casid.shooting.frequency import ROUGH, SpectralOutcome, SpectralProgramme, search
+from casid.shooting.frequency import ROUGH, SpectralOutcome, search
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum
@@ -189,6 +189,5 @@ def _released(end: SpectralOutcome, free: Free) -> SpectralOutcome:
     """The outcome under its own bounds; the ends of a side have no price."""
     last, solution = end.programme, end.solution
     prices = own_prices(solution.multipliers_x, last.residuals.free, free)
-    residuals = SpectralResiduals(free, last.residuals.lines)
-    programme = SpectralProgramme(residuals, last.spectra, last.scales)
+    programme = last.released(free)
     return replace(end, programme=programme, solution=replace(solution, multipliers_x=prices))

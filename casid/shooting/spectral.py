@@ -11,8 +11,10 @@ by λ come from `casid.intersample.integral_slopes`. What begins and ends, x_0 �
 enters linearly and is eliminated (variable projection: Golub and Pereyra 1973).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,31 +25,65 @@ from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slope
 from casid.shooting.delayed import LATE
 from casid.shooting.lines import Lines, held_lines
 
-PORTION = 1000  # lines whose derivatives are held at once before they are joined
+PORTION = 200  # lines whose derivatives are held at once, in the processor's cache
 RANK = 1e-13  # eigenvalue of the transient's information, to unit diagonal, that counts as zero
+
+
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """Of the weighed derivatives of one record's model, real and imaginary parts as halves."""
+
+    Z: Array  # (K, 2, nz) states and signals
+    through: Array  # (K, 2 ny, 2 nx) outputs by the states that follow, weighed
+    weight: Array  # (K, ny) of what acts at once
+    states_lam: Array  # (nz, nx nf) what follows from Z, by λ
+    outputs_lam: Array  # (nz, ny, nf) what acts at once, by λ
+    beside: Array  # (K, 2, ny, nx + 1) derivatives by d times a root of its covariance; residuals
+
+    def portions(self) -> Iterator[tuple[slice, Array]]:
+        """One portion of the lines after the other, rows (k, 2, ny, nf + nx + 1): by λ, beside."""
+        (K, _, ny, _), n, nz = self.beside.shape, self.outputs_lam.shape[2], len(self.states_lam)
+        direct = np.flatnonzero(self.outputs_lam.any(axis=(0, 2)))
+        for at in (slice(k, k + PORTION) for k in range(0, K, PORTION)):
+            Z, beside = self.Z[at].reshape(-1, nz), self.beside[at]
+            rows = np.empty((len(beside), 2, ny, n + beside.shape[3]))
+            moved = (Z @ self.states_lam).reshape(len(beside), -1, n)
+            np.matmul(self.through[at], moved, out=rows.reshape(len(rows), 2 * ny, -1)[..., :n])
+            for i in direct:
+                own = (Z @ self.outputs_lam[:, i]).reshape(-1, 2, n)
+                rows[:, :, i, :n] += own * self.weight[at, None, i, None]
+            rows[..., n:] = beside
+            yield at, rows
 
 
 @dataclass(frozen=True, eq=False)
 class Residual:
     """Weighed residuals of one record's lines and their normal equations, transient eliminated.
 
-    The transient d = x_0 − x_N minimises the sum of squares. T has orthonormal columns: derivatives
-    by d times a root of its covariance; ``follow`` (nx, nf) says what of them is in J.
+    The transient d = x_0 − x_N minimises the sum of squares.
     """
 
     E: ComplexArray  # (K, ny) measured less the model, 0 where not measured
-    J: ComplexArray  # (K, ny, nf) weighed derivative of the model by λ, d held
-    T: ComplexArray  # (K, ny, nx)
-    follow: Array
+    factors: _Factors
+    follow: Array  # (nx, nf) what of the derivatives by d, orthonormal, is in those by λ
     cost: float  # half the weighed sum of squares
     F: Array  # (nf, nf) information
     g: Array  # (nf,) gradient of the cost
     alone: Array  # (nf,) information were the transient known
 
+    @cached_property
+    def halves(self) -> Array:
+        """Weighed derivative of the model by λ as d follows, (K, 2, ny, nf)."""
+        n = self.follow.shape[1]
+        out = np.empty((*self.factors.beside.shape[:3], n))
+        for at, rows in self.factors.portions():
+            out[at] = rows[..., :n] - rows[..., n:-1] @ self.follow
+        return out
+
     @property
-    def rows(self) -> ComplexArray:
-        """Weighed derivative of the model by λ as d follows, (K, ny, nf)."""
-        return self.J - self.T @ self.follow
+    def ends(self) -> Array:
+        """Weighed derivative of the model by d, orthonormal columns, (K, 2, ny, nx)."""
+        return self.factors.beside[..., :-1]
 
 
 class SpectralResiduals:
@@ -56,6 +92,12 @@ class SpectralResiduals:
     def __init__(self, free: Free, lines: list[Lines]) -> None:
         self.free, self.lines, self.matrices = free, lines, MatrixFunction(free)
 
+    def below(self, omega: float) -> "SpectralResiduals":
+        """The same on lines up to a frequency [rad/s]."""
+        other = copy(self)
+        other.lines = [each.below(omega) for each in self.lines]
+        return other
+
     def __call__(self, lam: Array, weights: Sequence[Array]) -> list[Residual]:
         """Of every record at free values (nf,), weighed by its (K, ny) of them.
 
@@ -63,14 +105,18 @@ class SpectralResiduals:
         """
         m = self.matrices(lam)
         driven: dict[tuple[float, ...], tuple[Array, Array]] = {}
-        found = []
+        resolvents: dict[tuple[float, ...], ComplexArray] = {}
+        direct, found = _direct(m), []
         for lines, weight in zip(self.lines, weights, strict=True):
-            record = lines.record
-            S, rest = held_lines(self._held(lines, m), record.N, len(lines.z))
-            key = (ORDER[record.hold], record.dt, *np.round(rest, 12))
+            record, K = lines.record, len(lines.z)
+            S, rest = held_lines(self._held(lines, m), record.N, K)
+            key = (ORDER[record.hold], lines.dt, *np.round(rest, 12))
             if key not in driven:
-                driven[key] = _driven(m, record.dt, rest, ORDER[record.hold])
-            found.append(_residual(lines, weight, S, m, driven[key]))
+                driven[key] = _driven(m, lines.dt, rest, ORDER[record.hold])
+            at = (lines.dt, record.N, K)
+            if at not in resolvents:
+                resolvents[at] = _resolvent(lines.z, driven[key][0][:, : m.nx])
+            found.append(_residual(lines, weight, S, m, driven[key], direct, resolvents[at]))
         return found
 
     def _held(self, lines: Lines, m: Matrices) -> DelayedInput:
@@ -78,74 +124,80 @@ class SpectralResiduals:
         record, moves = lines.record, m.dtau.any(axis=0)
         if record.hold == "zoh":
             moves &= ~self.matrices.direct  # outputs jump there
-        within = np.where(moves, np.maximum(m.tau, LATE * record.dt), m.tau)
+        within = np.where(moves, np.maximum(m.tau, LATE * lines.dt), m.tau)
         return delayed_input(record.t, record.u, m.tau, record.hold, within)
 
 
-def _residual(
-    lines: Lines, weight: Array, S: ComplexArray, m: Matrices, driven: tuple[Array, Array]
-) -> Residual:
-    """Residuals of one record from the signals S (K, 3 nu) that drive it."""
-    (drive, drive_lam), (direct, direct_lam) = driven, _direct(m)
-    nx, C = m.nx, m.blocks[2]
-    R = np.linalg.inv(lines.z[:, None, None] * np.eye(nx) - drive[:, :nx])
+def _resolvent(z: ComplexArray, A_d: Array) -> ComplexArray:
+    """(z I − A_d)⁻¹ on lines (K,): (K, nx, nx)."""
+    R = np.linalg.inv(z[:, None, None] * np.eye(len(A_d)) - A_d)
     if not np.isfinite(R).all():
         raise np.linalg.LinAlgError("a pole on a line")
-    W = np.sqrt(weight * lines.seen)[:, :, None]
+    return np.asarray(R)
+
+
+def _residual(
+    lines: Lines,
+    weight: Array,
+    S: ComplexArray,
+    m: Matrices,
+    driven: tuple[Array, Array],
+    straight: tuple[Array, Array],
+    R: ComplexArray,
+) -> Residual:
+    """Residuals of one record from the signals S (K, 3 nu) that drive it."""
+    (drive, drive_lam), (direct, direct_lam) = driven, straight
+    nx, C = m.nx, m.blocks[2]
+    W = np.sqrt(weight * lines.seen)
+    end = lines.z / np.sqrt(lines.record.N)
     Z = np.hstack([(R @ (S @ drive[:, nx:].T)[:, :, None])[:, :, 0], S])
-    begun = R * (lines.z / np.sqrt(lines.record.N))[:, None, None]
-    E, T = (lines.Y - Z @ direct.T) * lines.seen, W * (C @ begun)
-    d, root = _transient(T, W[:, :, 0] * E)
-    Z[:, :nx] += begun @ d
-    E -= (begun @ d) @ C.T
-    J = np.empty((len(W), len(C), len(m.dtau)), dtype=complex)
-    flat, felt = J.reshape(len(J), -1), np.flatnonzero(direct_lam.any(axis=0))
-    for at in (slice(k, k + PORTION) for k in range(0, len(W), PORTION)):
-        J[at] = C @ R[at] @ _times(Z[at], drive_lam).reshape(-1, nx, J.shape[2])
-        flat[at, felt] += _times(Z[at], direct_lam[:, felt])
-    J *= W
-    return _eliminated(E * lines.seen, W, J, T @ root)
+    E = (lines.Y - Z @ direct.T) * lines.seen
+    felt = W[:, :, None] * (C @ R)  # by the states that follow
+    T = halves(felt * end[:, None, None])
+    d, root = _transient(T, halves(W * E))
+    begun = (R @ d) * end[:, None]
+    Z[:, :nx] += begun
+    E -= (begun @ C.T) * lines.seen
+    beside = np.concatenate([T @ root, halves(W * E)[..., None]], axis=3)
+    factors = _Factors(halves(Z), as_real(felt), W, drive_lam, direct_lam, beside)
+    return _eliminated(E, factors)
 
 
-def _gram(left: ComplexArray, right: ComplexArray) -> Array:
-    """Real part of the product of the first, conjugate transposed, with the second: (K, ny, n)."""
-    total: Array = np.zeros((left.shape[-1], right.shape[-1]))
-    for half in (np.real, np.imag):
-        a, b = (np.ascontiguousarray(half(x)).reshape(-1, x.shape[-1]) for x in (left, right))
-        total += a.T @ b
-    return total
+def halves(x: ComplexArray) -> Array:
+    """Real and imaginary part, (K, 2, ...)."""
+    return np.stack([x.real, x.imag], axis=1)
 
 
-def _transient(T: ComplexArray, E: ComplexArray) -> tuple[Array, Array]:
-    """The transient (nx,) that fits residuals (K, ny) best, and a root of its covariance."""
-    G = _gram(T, T)
+def as_real(x: ComplexArray) -> Array:
+    """Complex matrices (K, m, n) as real ones (K, 2 m, 2 n), of halves one after the other."""
+    out = np.empty((len(x), 2, x.shape[1], 2, x.shape[2]))
+    out[:, 0, :, 0] = out[:, 1, :, 1] = x.real
+    out[:, 0, :, 1], out[:, 1, :, 0] = -x.imag, x.imag
+    return out.reshape(len(x), 2 * x.shape[1], -1)
+
+
+def _transient(T: Array, E: Array) -> tuple[Array, Array]:
+    """The transient (nx,) that fits residuals (K, 2, ny) best, and a root of its covariance."""
+    flat = T.reshape(-1, T.shape[-1])
+    G = flat.T @ flat
     unit = 1 / np.sqrt(np.maximum(np.diag(G), 1e-300))
     values, vectors = np.linalg.eigh(G * np.outer(unit, unit))
     kept = values > RANK * max(float(values.max()), 1e-300)
     root = unit[:, None] * vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
-    return root @ (root.T @ _gram(T, E[:, :, None])[:, 0]), root
+    return root @ (root.T @ (flat.T @ E.ravel())), root
 
 
-def _eliminated(E: ComplexArray, W: Array, J: ComplexArray, T: ComplexArray) -> Residual:
-    """Normal equations from weighed derivatives, those by the transient T orthonormal."""
-    n, parts = J.shape[2], (J, T, W * E[:, :, None])
-    rows = np.empty((2, *J.shape[:2], sum(part.shape[2] for part in parts)))
-    for half, of in zip(rows, (np.real, np.imag), strict=True):
-        np.concatenate([of(part) for part in parts], axis=2, out=half)
-    flat = rows.reshape(-1, rows.shape[-1])
-    G = flat.T @ flat
+def _eliminated(E: ComplexArray, factors: _Factors) -> Residual:
+    """Normal equations, summed over portions of the lines."""
+    n = factors.outputs_lam.shape[2]
+    flat = (rows.reshape(-1, rows.shape[3]) for _, rows in factors.portions())
+    G = np.sum([rows.T @ rows for rows in flat], axis=0)
     follow = G[n:-1, :n]
     return Residual(
-        E=E, J=J, T=T, follow=follow, cost=float(G[-1, -1]) / 2, F=G[:n, :n] - follow.T @ follow,
-        g=follow.T @ G[n:-1, -1] - G[:n, -1], alone=np.diag(G)[:n],
+        E=E, factors=factors, follow=follow, cost=float(G[-1, -1]) / 2,
+        F=G[:n, :n] - follow.T @ follow, g=follow.T @ G[n:-1, -1] - G[:n, -1],
+        alone=np.diag(G)[:n],
     )  # fmt: skip
-
-
-def _times(Z: ComplexArray, matrix: Array) -> ComplexArray:
-    """Z times a real matrix, without making that complex."""
-    out = np.empty((len(Z), matrix.shape[1]), dtype=complex)
-    out.real, out.imag = Z.real @ matrix, Z.imag @ matrix
-    return out
 
 
 def _driven(m: Matrices, h: float, rest: Array, order: int) -> tuple[Array, Array]:
@@ -177,11 +229,11 @@ def _driven(m: Matrices, h: float, rest: Array, order: int) -> tuple[Array, Arra
 
 
 def _direct(m: Matrices) -> tuple[Array, Array]:
-    """The same of the outputs: (ny, nx + 3 nu), and derivatives (nx + 3 nu, ny nf)."""
+    """The same of the outputs: (ny, nx + 3 nu), and derivatives (nx + 3 nu, ny, nf)."""
     C, D = m.blocks[2:]
     (ny, nu), nx, nf = D.shape, m.nx, len(m.dtau)
     none = np.zeros((ny, 2 * nu))
     by_lam = np.zeros((nx + 3 * nu, ny, nf))
     by_lam[: nx + nu] = np.moveaxis(m.slopes[:, nx:], (0, 1, 2), (2, 1, 0))
     by_lam[nx + nu : nx + 2 * nu] = -np.einsum("im,ma->mia", D, m.dtau.T)
-    return np.hstack([C, D, none]), by_lam.reshape(nx + 3 * nu, ny * nf)
+    return np.hstack([C, D, none]), by_lam

@@ -16,7 +16,7 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.shooting.lines import Lines
-from casid.shooting.spectral import Residual
+from casid.shooting.spectral import Residual, halves
 from casid.values import seal, storable
 
 REACH = 0.35  # of the smoothing [nepers of frequency]
@@ -91,7 +91,7 @@ def leftover(
     left: list[Array] = []
     for each, residual, h in zip(lines, residuals, taken, strict=True):
         weight = each.weight[:, None]
-        left.append(np.clip(weight - h - _squares(residual.T), 0.0, weight))
+        left.append(np.clip(weight - h - _squares(residual.ends), 0.0, weight))
     return left
 
 
@@ -113,14 +113,12 @@ def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
     root = unit[:, None] * vectors / np.sqrt(values)
-    return [_squares(each.rows, root) for each in residuals]
+    return [_squares(each.halves @ root) for each in residuals]
 
 
-def _squares(rows: ComplexArray, root: Array | None = None) -> Array:
-    """Squared lengths (K, ny) of rows (K, ny, n), times a matrix if given."""
-    halves = [np.ascontiguousarray(half) for half in (rows.real, rows.imag)]
-    moved = halves if root is None else [half @ root for half in halves]
-    return np.asarray(sum(np.einsum("kia,kia->ki", half, half) for half in moved))
+def _squares(rows: Array) -> Array:
+    """Squared lengths (K, ny) of complex rows in halves (K, 2, ny, n)."""
+    return np.asarray(np.einsum("khia,khia->ki", rows, rows))
 
 
 def _level(omega: Array, power: Array, freedom: Array) -> float:
@@ -159,30 +157,36 @@ def _between(edges: Array, total: Array, at: Array) -> Array:
 
 
 def scatter_of_lines(
-    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array], F: Array
+    lines: Sequence[Lines],
+    residuals: Sequence[Residual],
+    powers: Sequence[Array],
+    left: Sequence[Array],
 ) -> Array:
     """Covariance (nf, nf) of the cost's gradient from every line's own residual, not smoothed.
 
-    Corrected for leverage: HC2 of MacKinnon and White, Journal of Econometrics 29 (1985), 305.
+    Corrected for leverage by what is `leftover`: HC2 of MacKinnon and White, Journal of
+    Econometrics 29 (1985), 305.
     """
     total = np.zeros_like(residuals[0].F)
-    left = leftover(lines, residuals, leverages(residuals, F))
     for each, found, power, freedom in zip(lines, residuals, powers, left, strict=True):
         share = np.clip(freedom / each.weight[:, None], SPENT, 1.0)
-        slopes = np.einsum("kia,ki->ka", found.rows.conj(), found.E / np.sqrt(power * share))
-        total += (slopes.conj().T @ slopes).real
+        E = found.E / np.sqrt(power * share)
+        both = np.stack([halves(E), halves(-1j * E)], axis=1).reshape(len(E), 2, -1)
+        slopes = both @ found.halves.reshape(len(E), -1, len(total))
+        total += np.einsum("kha,khb->ab", slopes, slopes, optimize=True)
     return total
 
 
-def degrees(lines: Sequence[Lines], rows: Sequence[ComplexArray], covariance: Array) -> Array:
+def degrees(lines: Sequence[Lines], rows: Sequence[Array], covariance: Array) -> Array:
     """Degrees of freedom (nf,) of the variances that the lines' residuals tell of estimates.
 
     Satterthwaite's, 2 (mean)² / variance of Σ c |E|²/Φ, with c what a line adds to a variance: by
-    the ``rows`` (K, ny, nf) of every record that residuals of unit variance multiply.
+    the ``rows`` (K, 2, ny, nf) of every record, in halves, that unit residuals multiply.
     """
     total, square = np.zeros(len(covariance)), np.zeros(len(covariance))
     for each, own in zip(lines, rows, strict=True):
-        c = np.sum(np.abs(own @ covariance) ** 2, axis=1)
+        moved = own @ covariance
+        c = np.einsum("khia,khia->ka", moved, moved)
         total += c.sum(axis=0)
         square += (c**2 / each.weight[:, None]).sum(axis=0)
     return np.asarray(total**2 / np.maximum(square, 1e-300))
@@ -199,14 +203,16 @@ def contrast(spectra: Sequence[NoiseSpectrum]) -> float:
 
 
 def coherent(
-    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array], F: Array
-) -> list[Array]:
+    lines: Sequence[Lines],
+    residuals: Sequence[Residual],
+    powers: Sequence[Array],
+    left: Sequence[Array],
+) -> list[ComplexArray]:
     """Smoothed correlation of whitened residuals across outputs, (K, ny, ny) of every record.
 
-    Complex, Hermitian, with ones on the diagonal.
+    Complex, Hermitian, with ones on the diagonal; ``left`` is what is `leftover`.
     """
-    found: list[Array] = []
-    left = leftover(lines, residuals, leverages(residuals, F))
+    found: list[ComplexArray] = []
     white = [r.E / np.sqrt(power) for r, power in zip(residuals, powers, strict=True)]
     for each in lines:
         mine = [r for r, other in enumerate(lines) if other.kind == each.kind]

@@ -3,10 +3,11 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array
 from casid.errors import ConvergenceError, warn
 from casid.estimates import (
     at_bounds,
@@ -35,11 +36,13 @@ from casid.shooting.frequency import (
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
 from casid.shooting.sides import done, heard, searched
+from casid.shooting.spectral import as_real
 from casid.shooting.spectrum import (
     NoiseSpectrum,
     coherent,
     contrast,
     degrees,
+    leftover,
     leverages,
     noise_spectra,
     powers,
@@ -169,9 +172,11 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
     scaled = uncertainty.bound(F, ties, alone)
     unknown = np.isinf(np.diag(scaled))
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
-    spectra = programme.spectra if estimated else _left(programme, state)
-    rows = _rows(programme, state, spectra)
-    middle = _scatter(programme, state, lam, spectra, rows) * unit
+    lines, taken = programme.residuals.lines, leverages(state.residuals, state.F)
+    spectra = programme.spectra if estimated else noise_spectra(lines, state.residuals, taken)
+    left = leftover(lines, state.residuals, taken)
+    noise = _Noise(spectra, left, _rows(programme, state, spectra))
+    middle = _scatter(programme, state, lam, noise) * unit
     robust = np.where(np.isfinite(scaled), known @ middle @ known, scaled)
     found = Precision(
         cramer_rao=scaled * unit,
@@ -180,25 +185,27 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
         collinear=uncertainty.collinearities(F, ties, free.names, alone),
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
-    return _allowing(found, known * unit, programme, state, lam, spectra, rows)
+    return _allowing(found, known * unit, programme, state, lam, noise)
 
 
-def _left(programme: SpectralProgramme, state: State) -> tuple[NoiseSpectrum, ...]:
-    """Spectra of the residuals, whatever the programme holds."""
-    found = state.residuals
-    return noise_spectra(programme.residuals.lines, found, leverages(found, state.F))
+class _Noise(NamedTuple):
+    """What residuals are taken to be of."""
+
+    spectra: tuple[NoiseSpectrum, ...]
+    left: list[Array]  # degrees of freedom, by `leftover`
+    rows: list[Array]  # (K, 2, ny, nf) what residuals of unit variance multiply in the gradient
 
 
 def _rows(
     programme: SpectralProgramme, state: State, spectra: tuple[NoiseSpectrum, ...]
-) -> list[ComplexArray]:
-    """Derivatives, (K, ny, nf) of every record, that residuals of unit variance multiply.
+) -> list[Array]:
+    """Derivatives, (K, 2, ny, nf) of every record in halves, that unit residuals multiply.
 
     In the cost's gradient, if these come of noise of the ``spectra``.
     """
-    left = powers(spectra, programme.residuals.lines)
-    parts = zip(state.residuals, left, programme.powers, strict=True)
-    return [each.rows * np.sqrt(own / held)[:, :, None] for each, own, held in parts]
+    own = powers(spectra, programme.residuals.lines)
+    parts = zip(state.residuals, own, programme.powers, strict=True)
+    return [each.halves * np.sqrt(mine / held)[:, None, :, None] for each, mine, held in parts]
 
 
 def _allowing(
@@ -207,8 +214,7 @@ def _allowing(
     programme: SpectralProgramme,
     state: State,
     lam: Array,
-    spectra: tuple[NoiseSpectrum, ...],
-    rows: list[ComplexArray],
+    noise: _Noise,
 ) -> Precision:
     """The precision with errors widened for a spectrum that is estimated, from few lines.
 
@@ -220,12 +226,12 @@ def _allowing(
     if not told.any():
         return found
     lines = programme.residuals.lines
-    middle = scatter_of_lines(lines, state.residuals, programme.powers, state.F)
+    middle = scatter_of_lines(lines, state.residuals, programme.powers, noise.left)
     middle += programme.residuals.free.prior_scatter(lam)
     smooth = np.where(told, np.diag(found.covariance), 1.0)
     more = np.where(told, np.maximum(np.diag(known @ middle @ known) / smooth, 1.0), 1.0)
-    freedom = np.where(told, degrees(lines, rows, known), np.inf)
-    if freedom.min() < FEW and contrast(spectra) > COLOURED:
+    freedom = np.where(told, degrees(lines, noise.rows, known), np.inf)
+    if freedom.min() < FEW and contrast(noise.spectra) > COLOURED:
         few = ", ".join(np.array(programme.residuals.free.names)[freedom < FEW])
         warn(
             f"{METHOD}: the spectrum of the residuals rests on few lines where the records tell "
@@ -237,19 +243,12 @@ def _allowing(
     return replace(found, covariance=found.covariance * np.outer(wider, wider))
 
 
-def _scatter(
-    programme: SpectralProgramme,
-    state: State,
-    lam: Array,
-    spectra: tuple[NoiseSpectrum, ...],
-    rows: list[ComplexArray],
-) -> Array:
+def _scatter(programme: SpectralProgramme, state: State, lam: Array, noise: _Noise) -> Array:
     """Covariance (nf, nf) of the cost's gradient, residuals correlated across outputs."""
     lines = programme.residuals.lines
-    across = coherent(lines, state.residuals, powers(spectra, lines), state.F)
+    across = coherent(lines, state.residuals, powers(noise.spectra, lines), noise.left)
     total = np.zeros_like(state.F)
-    for each, S in zip(rows, across, strict=True):
-        left = each.reshape(-1, len(total))
-        right = (S @ each).reshape(-1, len(total))
-        total += left.real.T @ right.real + left.imag.T @ right.imag
+    for rows, S in zip(noise.rows, across, strict=True):
+        left = rows.reshape(len(S), -1, len(total))
+        total += left.reshape(-1, len(total)).T @ (as_real(S) @ left).reshape(-1, len(total))
     return (total + total.T) / 2 + programme.residuals.free.prior_scatter(lam)
