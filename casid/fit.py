@@ -70,11 +70,12 @@ class ConstraintEstimate:
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
-    """How close a match is to the black box, on the grid and over the whole band.
+    """How close a match is to its targets, on the grid and over the whole band.
 
     ``grid_norm`` is the largest singular value of the weighted error over the grid, a lower bound
-    of the norm over the band; ``upper_bound`` bounds it from above on ``band`` [rad/s];
-    ``peak_omega`` is where the largest value was found; ``shift`` is σ [1/s].
+    of the norm over the band; ``upper_bound`` bounds it from above on ``band`` [rad/s], between the
+    points too, but of the targets ``at_points``: measured responses, of which nothing is known
+    between theirs. ``peak_omega`` is where the largest value was found; ``shift`` is σ [1/s].
     """
 
     grid_norm: float
@@ -82,6 +83,7 @@ class Certificate:
     peak_omega: float
     band: tuple[float, float]
     shift: float
+    at_points: tuple[str, ...] = ()
 
 
 @storable

@@ -92,6 +92,7 @@ class Appraisal:
             peak_omega=self.top[1].peak_omega,
             band=self.comparison.band,
             shift=self.comparison.shift,
+            at_points=tuple(each.name for each in self.comparison.sources if not each.system),
         )
 
     def with_peaks(self, above: float) -> Comparison:

@@ -55,10 +55,12 @@ class Match:
         The default is the least that leaves a margin of a tenth of the rightmost pole's modulus.
     weight : "reachable", "relative", "size", array, None, or a sequence of one a target
         "reachable" divides every pair's error by what a first quadratic fit leaves of it, smoothed
-        over ±0.35 nepers of frequency, at least its stated error and 5 % of its output's response.
-        "relative" divides every output's error by the size of its response at that frequency,
-        "size" (or None) by its standard deviation, times the input's. An array multiplies that: it
-        broadcasts to (K, ny, nu), zeros being masks, linear in ω between the grid's points.
+        over ±0.35 nepers of frequency, at least its stated error (the root mean square of the
+        complex one) and 5 % of its output's response. "relative" divides every output's error by
+        the size of its response at that frequency, "size" (or None) by its standard deviation,
+        times the input's; of a StateSpace, which has no records, by the root mean square of its
+        responses over frequencies and inputs. An array multiplies that: it broadcasts to
+        (K, ny, nu), zeros being masks, linear in ω between the grid's points.
     source_weight : sequence of float
         Factor on the error of each target, one unless given.
     stable_shift : bool

@@ -277,3 +277,11 @@ def test_target_of_another_kind_is_refused():
         match(Lag(), measured(SECOND), shift=0.2)
     with pytest.raises(ModelError, match="every parameter is fixed"):
         match(Lag(), black_box(SECOND), fixed=("a", "k"))
+
+
+def test_a_certificate_says_which_targets_exist_at_their_points_alone():
+    seen, box, omega = measured(SECOND, np.geomspace(1, 10, 6)), black_box(SECOND), OMEGA
+    assert match(Lag(), seen, weight="size").certificate.at_points == ("measured",)
+    both = match(Lag(), [box, seen], omega=omega, weight="size").certificate
+    assert both.at_points == ("measured",)
+    assert match(Lag(), box, weight="size").certificate.at_points == ()
