@@ -23,7 +23,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.bounds.relations import Relation, parse_relation
+from casid.bounds.relations import Relation, check_possible, parse_relation
 from casid.checks import check_known
 from casid.declaration import check_pair
 from casid.errors import ModelError, warn
@@ -123,6 +123,7 @@ class _Writer:
             for text in texts:
                 self._relation(text)
             check_independent(self.relations)
+            check_possible(self.relations, self.bounds)
             self._hold_what_does_nothing()
         return Case(self.name, self.bounds, tuple(self.relations))
 
@@ -278,32 +279,26 @@ def _number(text: str) -> float:
     return float(text.replace("−", "-").replace(" ", ""))
 
 
-def constrained(model: Model, case: Case) -> tuple[Model, Array]:
-    """A model whose structure has the case's relations beside its own, and their units.
+def constrained(model: Model, case: Case) -> Model:
+    """A model whose structure has the case's relations beside its own.
 
-    Every estimator keeps what `Model.constraints` says. A relation is divided by the size of its
-    terms, so that a violation of one is large; (m,) sizes say by how much.
+    Every estimator keeps what `Model.constraints` says.
     """
     if not case.relations:
-        return model, np.zeros(0)
+        return model
     cls = type(model)
     names = model.parameter_names()
-    scale = free_parameters(model, (), dict(case.bounds)).scale
-    sizes = np.array([np.abs(relation.row(names) * scale).max() for relation in case.relations])
 
     def constraints(self: Model) -> Sequence[Constraint]:
         values = {name: getattr(self, name) for name in names}
         return (
             *cls.constraints(self),
-            *(
-                Constraint(r.text, r.value(values) / size, r.lower / size, r.upper / size)
-                for r, size in zip(case.relations, sizes, strict=True)
-            ),
+            *(Constraint(r.text, r.value(values), r.lower, r.upper) for r in case.relations),
         )
 
     body = {"constraints": constraints, "__module__": cls.__module__, "__doc__": cls.__doc__}
-    derived = type(cls.__name__, (cls,), body)
-    return derived(**_values(model)), sizes
+    derived: type[Model] = type(cls.__name__, (cls,), body)
+    return derived(**_values(model))
 
 
 def as_user_class(model: Model, cls: type[Model]) -> Model:

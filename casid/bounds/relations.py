@@ -8,12 +8,13 @@ names, ``+ - * /`` and parentheses; a number before a name or a parenthesis mult
 
 import ast
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 
 from casid.errors import ModelError
 
@@ -22,6 +23,7 @@ TOKEN = re.compile(
 )
 SPELT = str.maketrans({"−": "-", "·": "*", "×": "*", "≤": "<", "≥": ">"})
 LARGEST = 1e100  # number; beyond it products overflow
+ROUNDING = 1e-9  # of the sizes of a relation's terms
 MARKS = {ast.Eq: "=", ast.Lt: "<", ast.LtE: "<", ast.Gt: ">", ast.GtE: ">"}
 
 
@@ -48,6 +50,47 @@ class Relation:
         """Coefficients in the order of the names given, (n,); zero where it says nothing."""
         known = dict(zip(self.names, self.coefficients, strict=True))
         return np.array([known.get(name, 0.0) for name in names])
+
+
+def check_possible(
+    relations: Sequence[Relation], bounds: Mapping[str, tuple[float, float]]
+) -> None:
+    """Refuse relations that cannot all hold between parameters within their bounds: ModelError.
+
+    The linear programme of the least sum of violations; those that its multipliers name contradict
+    each other, or the bounds.
+    """
+    names = tuple(dict.fromkeys(name for each in relations for name in each.names))
+    limits = [bounds[name] for name in names]
+    size = np.array([max([1.0, *(abs(x) for x in pair if abs(x) < np.inf)]) for pair in limits])
+    sides, terms = [], []
+    for each in relations:
+        row = each.row(names) * size
+        for sign, side in ((1.0, each.upper), (-1.0, -each.lower)):
+            if side < np.inf:
+                unit = np.abs(row).max()
+                sides.append((each, side / unit))
+                terms.append(sign * row / unit)
+    if not sides:
+        return
+    m, right = len(sides), [side for _, side in sides]
+    found = scipy.optimize.linprog(
+        c=np.repeat([0.0, 1.0], [len(names), m]),
+        A_ub=np.hstack([np.array(terms), -np.eye(m)]),
+        b_ub=right,
+        bounds=[*np.divide(limits, size[:, None]), *[(0.0, np.inf)] * m],
+    )
+    if not found.success or found.fun <= ROUNDING * max(1.0, np.abs(right).max()):
+        return
+    against = np.flatnonzero(np.abs(found.ineqlin.marginals) > ROUNDING)
+    guilty = dict.fromkeys(sides[k][0].text for k in against)
+    at_bounds = np.abs([found.lower.marginals, found.upper.marginals])[:, : len(names)].max(axis=0)
+    held = [names[i] for i in np.flatnonzero(at_bounds > ROUNDING)]
+    within = ", ".join(f"{name} in [{bounds[name][0]:g}, {bounds[name][1]:g}]" for name in held)
+    raise ModelError(
+        f"{' and '.join(map(repr, guilty))} cannot hold{' together' if len(guilty) > 1 else ''}"
+        f"{f' with {within}' if held else ''}; loosen one of them, or a bound"
+    )
 
 
 def parse_relation(text: str) -> Relation:

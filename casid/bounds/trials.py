@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from casid.arrays import Array
 from casid.bounds.cases import Case, CaseSpec, as_user_class, constrained, feasible, read_cases
 from casid.bounds.robust import weights
 from casid.errors import ConvergenceError
@@ -151,7 +150,7 @@ def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any
     if near is not None:
         known = {name: getattr(near.model, name) for name in cls.parameter_names()}
         model = replace(model, **known)
-    inside, sizes = constrained(feasible(model, job.case, near), job.case)
+    inside = constrained(feasible(model, job.case, near), job.case)
     data = setup.data if job.draw is None else job.draw(setup.data)
     bounds = job.case.bounds
     try:
@@ -159,19 +158,14 @@ def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any
         fit = estimator.fit(inside, data, fixed=setup.fixed, bounds=bounds, near=near)
     except ConvergenceError as error:
         best = error.best
-        shown = _own(best, cls, sizes) if isinstance(best, Fit) else None
+        shown = _own(best, cls) if isinstance(best, Fit) else None
         raise UnfinishedError(str(error), shown) from error
-    return _own(fit, cls, sizes)
+    return _own(fit, cls)
 
 
-def _own(fit: AnyFit, cls: type[Model], sizes: Array) -> AnyFit:
-    """The fit with the user's class, and the case's relations in their own units."""
-    own = len(fit.constraints) - len(sizes)
-    constraints = list(fit.constraints[:own])
-    for row, size in zip(fit.constraints[own:], sizes.tolist(), strict=True):
-        scaled = {name: getattr(row, name) * size for name in ("value", "lower", "upper")}
-        constraints.append(replace(row, **scaled, multiplier=row.multiplier / size))
-    return replace(fit, model=as_user_class(fit.model, cls), constraints=tuple(constraints))
+def _own(fit: AnyFit, cls: type[Model]) -> AnyFit:
+    """The fit with the user's class."""
+    return replace(fit, model=as_user_class(fit.model, cls))
 
 
 def spelt_out(name: str) -> str:

@@ -4,7 +4,7 @@ from concurrent.futures import Executor, Future
 
 import numpy as np
 
-from casid import Model, Record, Rows, Scalar, parameter
+from casid import Constraint, Model, Record, Rows, Scalar, parameter
 
 
 class Mixture(Model):
@@ -34,6 +34,13 @@ class Mixture(Model):
 TRUTH = Mixture(a=1.0, b=0.6, d=0.05)
 NOISE = 0.02
 CASES = {"free": {}} | {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
+
+
+class Positive(Mixture):
+    """The same with a sum that is not negative."""
+
+    def constraints(self):
+        return [Constraint("a + b", self.a + self.b, 0.0, np.inf)]
 
 
 def record(seed=0, model=TRUTH):
