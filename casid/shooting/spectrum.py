@@ -17,6 +17,7 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import Residual, halves
+from casid.threads import on_all_cores
 from casid.values import seal, storable
 
 REACH = 0.35  # of the smoothing [nepers of frequency]
@@ -113,7 +114,7 @@ def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
     root = unit[:, None] * vectors / np.sqrt(values)
-    return [_squares(each.halves @ root) for each in residuals]
+    return list(on_all_cores(lambda each: _squares(each.halves @ root), residuals))
 
 
 def _squares(rows: Array) -> Array:
