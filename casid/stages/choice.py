@@ -160,7 +160,8 @@ def _beyond(excess: float, error: float) -> str:
     """By how much a candidate's errors exceed the chosen one's, in words if that is not known."""
     if not np.isfinite(excess):
         return "failed"
-    said = f"{100 * np.expm1(excess):+.0f} ± {100 * error:.0f} %"
+    digits = 0 if error >= 0.01 else 1
+    said = f"{100 * np.expm1(excess):+.{digits}f} ± {100 * error:.{digits}f} %"
     return said if abs(excess) > TIE * error else f"equal within errors ({said})"
 
 

@@ -100,6 +100,12 @@ def test_standard_errors_and_the_cramer_rao_bound_stand_side_by_side(page, conte
             assert f'<td data-value="{value}">{number(value, 2)}</td>' in text
 
 
+def test_a_star_is_explained_where_there_is_one(page):
+    text = page.read_text(encoding="utf-8")
+    starred = re.search(r'<td data-value="[^"]*">[^<]*\d\*</td>', text)
+    assert (starred is not None) == ("* on its bound in that fit." in text)
+
+
 def test_a_picture_as_an_address_is_the_same_picture():
     drawn = "M 10.1234 0 L 11 20.56 L 10.8 4 z M 5 6 M 1 2 L 1.2 10"  # one point alone
     line = f"""<path d="{drawn}" style="font: 8px 'DejaVu Sans'; fill: #00ff00"/>"""

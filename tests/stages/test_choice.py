@@ -94,6 +94,8 @@ def test_the_one_with_the_smallest_errors_is_chosen_the_first_of_equals():
     assert (close.chosen, close.fit) == ("a", "A")
     assert close.excess[1] < 0
     assert "b equal within errors (-1 ± " in close.headline()
+    alike = chosen(comparison([[0.001, -0.002, 0.001], [0.0, 0.0, 0.0005]]))
+    assert "b equal within errors (+0.0 ± 0.1 %)" in alike.headline()  # no errors of nothing
     with pytest.raises(ConvergenceError, match="no last step could be estimated: no"):
         chosen(comparison([[np.nan] * 3] * 2))
 
