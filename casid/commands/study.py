@@ -42,6 +42,7 @@ WIDE = 24  # column of stages
 
 
 STUDY = click.argument("study", type=click.Path(path_type=Path), metavar="STUDY.toml")
+PNG = click.option("--png", is_flag=True, help="Write every figure as PNG too.")
 OUTPUT = click.option(
     "--output",
     "-o",
@@ -73,7 +74,7 @@ The output folder then holds
 @OUTPUT
 @click.option("--fresh", is_flag=True, help="Compute every stage again, whatever was kept.")
 @click.option("--parameters", is_flag=True, help="Print the table of parameters too.")
-@click.option("--png", is_flag=True, help="Write every figure as PNG too.")
+@PNG
 @VERBOSE
 def identify(
     study: Path, output: Path | None, fresh: bool, parameters: bool, png: bool, verbose: bool
@@ -81,8 +82,7 @@ def identify(
     """Identify the structure a study names and write its report."""
     begun = perf_counter()
     with exits() as console, logged(console, verbose), Monitor(console) as monitor:
-        asked = read_study(study, output)
-        asked = replace(asked, png=png or asked.png)
+        asked = _read(study, output, png)
         outcome = run_study(asked, fresh=fresh, watch=monitor)
     console.print(Text(_line("total", None, None, perf_counter() - begun), style="bold"))
     if parameters:
@@ -96,8 +96,9 @@ def identify(
 @click.command()
 @STUDY
 @OUTPUT
+@PNG
 @VERBOSE
-def bounds(study: Path, output: Path | None, verbose: bool) -> None:
+def bounds(study: Path, output: Path | None, png: bool, verbose: bool) -> None:
     """Compare the cases of a study's table [bounds] and price every bound.
 
     The study is identified first, as by casid identify; what that kept is taken. Every case is
@@ -111,13 +112,19 @@ def bounds(study: Path, output: Path | None, verbose: bool) -> None:
       bounds/          the result of each case
     """  # noqa: D301
     with exits() as console, logged(console, verbose), Monitor(console) as monitor:
-        asked = read_study(study, output)
+        asked = _read(study, output, png)
         if "bounds" not in asked.settings:
             raise ValueError(f"{study}: there is no table [bounds] with cases to compare")
         outcome = run_study(asked, command="bounds", watch=monitor)
     if outcome.comparison is not None:
         console.print(case_table(outcome.comparison))
     _say_where(console, outcome)
+
+
+def _read(study: Path, output: Path | None, png: bool) -> Study:
+    """The study, its figures as PNG too if asked for here or there."""
+    asked = read_study(study, output)
+    return replace(asked, png=png or asked.png)
 
 
 @click.command()

@@ -118,7 +118,7 @@ def asked(folder, bounds=BOUNDS):
 def told(tmp_path_factory):
     """A study whose cases were compared, and what the command said."""
     study = asked(tmp_path_factory.mktemp("told"))
-    return study, CliRunner().invoke(main, ["bounds", str(study)])
+    return study, CliRunner().invoke(main, ["bounds", str(study), "--png"])
 
 
 @pytest.mark.slow
@@ -135,7 +135,8 @@ def test_casid_bounds_leaves_tables_figure_and_a_section(told):
     page = (out / "report.html").read_text(encoding="utf-8")
     assert '<section id="bounds">' in page
     assert "figure-bounds" in page
-    assert (out / "figures" / "bounds.svg").stat().st_size > 0
+    for kind in ("svg", "png"):
+        assert (out / "figures" / f"bounds.{kind}").stat().st_size > 0
     assert "±20 %" in (out / "bounds.md").read_text(encoding="utf-8")
     assert len(list((out / "bounds").glob("*.json"))) == 4
     for name in rows:
