@@ -14,11 +14,12 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import ModelError
+from casid.errors import ModelError, warn
 from casid.model import Model, Rows, constants
 from casid.nonlinear.conditions import Trim, check_named, linearisation
 from casid.nonlinear.coverage import joined_spans, reached, warn_beyond
 from casid.nonlinear.expressions import evaluated, jumping, linearised, reference_point
+from casid.nonlinear.kinks import kinks
 from casid.sensors import Scalar
 from casid.surroundings import Surroundings, surroundings
 
@@ -96,7 +97,7 @@ class NonlinearModel(Model, base=True):
         Model
             With the same parameters, and one more for each unknown of the trims, which the balance
             dx/dt = 0 then ties. Its matrices are the Jacobians' expressions. A `DataWarning` tells
-            of conditions beyond the structure's tables.
+            of conditions beyond the structure's tables, and of such on a jump or a kink.
 
         Raises
         ------
@@ -119,6 +120,12 @@ class NonlinearModel(Model, base=True):
             if not each.unknown:
                 said = ", ".join(f"{name} = {value:.4g}" for name, value in each.values.items())
                 _check_finite(self, self.equations(), *self._placed(each), f"at {said}")
+                if found := kinks(self, *self._placed(each)):
+                    warn(
+                        f"linearised where {'; '.join(found)}: the slope there is neither side's, "
+                        "nor what motions about it tell. Take a condition beside it, or write "
+                        "something smooth (casadi.tanh, casid.spline)"
+                    )
         known = [self.reached_at(each) for each in given if not each.unknown]
         warn_beyond(self, "linearised at a condition", joined_spans(known))
         return linear
