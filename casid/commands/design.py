@@ -1,6 +1,7 @@
 """The command `design`: from a study to the next flight."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from casid.commands.terminal import caution, exits, logged, new_table
 from casid.design.asked import DesignSettings, Limits
 from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
+from casid.design.loop import UnheldError
 from casid.design.plan import Design
 from casid.design.prior import check_trim, tells_noise
 from casid.envelope import flight_condition
@@ -108,7 +110,7 @@ def design(
       design/design.png  sticks and predicted responses with their limits
       design/errors.png  predicted standard errors, parameter by parameter
     """  # noqa: D301
-    with exits() as console, logged(console, verbose):
+    with exits() as console, logged(console, verbose), _feedback_as_option():
         what = read_study(study, output)
         what.spare(*(f"design/{name}" for name in WRITTEN))
         model = _kept(what)
@@ -168,6 +170,17 @@ def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, f
             )
         found.setdefault(stick, {})[channel] = gain
     return found
+
+
+@contextmanager
+def _feedback_as_option() -> Iterator[None]:
+    """Of an aircraft that is not held the feedback that may hold it is told as the option."""
+    try:
+        yield
+    except UnheldError as error:
+        pairs = [(j, i, gain) for j, gains in error.example.items() for i, gain in gains.items()]
+        said = " ".join(f"--feedback {stick}:{output}={gain:g}" for stick, output, gain in pairs)
+        raise ValueError(str(error).replace(f"feedback={error.example}", said)) from error
 
 
 def _noise(study: Study) -> Mapping[str, float]:

@@ -40,7 +40,11 @@ GROWN = 3.0  # how much larger the end of an impulse response may be than all be
 
 
 class UnheldError(ValueError):
-    """An aircraft that its feedback does not hold."""
+    """An aircraft that its feedback does not hold; ``example`` is one that may, as it is told."""
+
+    def __init__(self, message: str = "", example: Feedback | None = None) -> None:
+        super().__init__(message)
+        self.example = example or {}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -149,11 +153,12 @@ class Loop:
             i, j = np.unravel_index(int(np.argmax(np.abs(self._held))), self._held.shape)
             gain = float(np.copysign(0.1, self._held[i, j]))
             shorter = f", and fly {longest:g} s at most" if growth * span > GROWTH else ""
+            example = {self.inputs[j]: {self.outputs[i]: gain}}
             raise UnheldError(
                 f"the aircraft is unstable ({growth:.3g} 1/s) and nothing holds it over "
                 f"{span:.4g} s, in which it grows by more than e^{ALONE:g}: give the feedback that "
-                f"is flown, such as feedback={{{self.inputs[j]!r}: {{{self.outputs[i]!r}: "
-                f"{gain}}}}}{shorter}"
+                f"is flown, such as feedback={example}{shorter}",
+                example,
             )
         if growth * span > GROWTH:
             raise UnheldError(

@@ -151,6 +151,18 @@ def test_the_weakest_parameters_are_those_that_a_flight_can_tell(tmp_path):
     assert sorted(names) == ["Llat", "Lv", "Yv"]  # neither of the two that are one
 
 
+def test_an_example_of_feedback_is_spelled_as_the_option(tmp_path):
+    study = write_study(tmp_path)
+    study.write_text(study.read_text() + TABLE)
+    model = tmp_path / "roll.py"
+    model.write_text(model.read_text().replace("self.Lp, 0]", "-self.Lp, 0]"))  # it runs away
+    result = run(study, "-o", tmp_path / "out")
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.stderr.split())
+    assert "give the feedback that is flown, such as --feedback lat:p=0.1" in said
+    assert "feedback={" not in said
+
+
 def test_without_a_fit_the_study_has_to_say_the_noise_in_its_own_words(tmp_path):
     study = write_study(tmp_path)
     text = study.read_text().replace("noise = true\n", "")

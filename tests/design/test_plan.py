@@ -30,7 +30,10 @@ def design():
 
 
 def test_it_says_what_it_buys(design):
-    assert "0.35 times those of 3-2-1-1 (geometric mean), 0.5 at worst" in repr(design)
+    assert "0.354 times those of 3-2-1-1 (geometric mean), 0.5 at worst" in repr(design)
+    worse = Alternative(name="steps", r=design.r, std_errors=np.array([1.022, 0.1]))
+    other = replace(design, alternatives=(design.alternatives[0], worse))
+    assert "1.02 at worst (Lp)" in other.headline()  # as the table has it, not 1
     assert "; 2.9 s of flight instead of 21 minutes" in repr(design)
     assert "| steps | 0.354 | 0.500 | Lp |" in design.comparison()
     assert "| Llat | 9 | 0.2 | 0.4 | 0.1 |" in design.to_markdown()
