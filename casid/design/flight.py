@@ -7,12 +7,14 @@ straight line, an error of second order in the interval.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.design.flown import Flown
 from casid.design.loop import Feedback, gains
 from casid.design.optimise import Task
 from casid.design.prior import condition
@@ -22,7 +24,7 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 
 REACH = 0.5  # of the fastest mode times a step of the integration, at most
-MOST = 100  # steps of it a sample
+LEAST, MOST = 4, 100  # steps of it a sample: lines break within one, where delays have them do so
 PASSES = 3  # of what a stick does to its own sample, by a direct term and feedback
 ROUNDS = 40  # of making a card smaller
 SAFE = 1e-3  # by which it is made smaller than it needs to be, so that rounds end
@@ -46,9 +48,12 @@ class Flight:
         at, (h, N) = MatrixFunction(free)(free.guess), (task.loops[0].h, task.loops[0].N)
         values = condition(model, trim).values
         x0, u0 = (np.array([values[n] for n in names]) for names in (model.states, model.inputs))
+        y0 = model.equations()(x0, u0, model.vector())[1].full().ravel()
+        self._free, self._values = replace(free, model=model), np.concatenate([u0, y0, x0])
+        self._t = h * np.arange(N)
         K = gains(feedback, model.inputs, model.outputs)
         fastest = float(np.abs(np.linalg.eigvals(at.blocks[0])).max())
-        parts = int(np.clip(np.ceil(fastest * h / REACH), 1, MOST))
+        parts = int(np.clip(np.ceil(fastest * h / REACH), LEAST, MOST))
         step = _step(model, (x0, u0), K, at.tau / h, h / parts, parts)
         self._fly, self._start = step.mapaccum("fly", N), np.zeros(step.size1_in(0))
         self._task = task
@@ -62,6 +67,20 @@ class Flight:
         """Largest shares of the limits (2 nu + ny + nx,); infinite where the flight runs away."""
         most = np.abs(self._task.shares(self.fly(r))).max(axis=0)
         return np.where(np.isfinite(most), most, np.inf)
+
+    @property
+    def trim(self) -> dict[str, float]:
+        """Total values of states, inputs and outputs."""
+        model, (nu, ny) = self._free.model, (len(self._free.model.inputs), self._task.loops[0].ny)
+        u, y, x = np.split(self._values, [nu, nu + ny])
+        pairs = (model.states, x), (model.inputs, u), (model.outputs, y)
+        return {n: v for names, own in pairs for n, v in zip(names, own.tolist(), strict=True)}
+
+    def flown(self, r: Array) -> Flown:
+        """The flight after r as output error sees it."""
+        nu, ny = len(self._free.model.inputs), self._task.loops[0].ny
+        parts = np.split(self._values + self.fly(r), [nu, nu + ny], axis=1)
+        return Flown(self._free, self._t, *parts)
 
     def within(self, r: Array) -> Array:
         """An input that keeps the limits in the linearisation, as small as it takes here."""

@@ -16,17 +16,25 @@ from casid.design.multisine import best_powers, schroeder, shared_out, unit_info
 from casid.design.optimise import Task, improved
 from casid.design.phases import least_peak
 from casid.design.plan import Alternative, Design
-from casid.design.prior import as_fitted, check_balance, inside, linear_at, without_effect
+from casid.design.prior import (
+    as_fitted,
+    check_balance,
+    inside,
+    known_before,
+    linear_at,
+    without_effect,
+)
 from casid.design.problem import JUDGES, Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
 from casid.display import listed
+from casid.errors import warn
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
 from casid.model import Model
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
-from casid.structure.identifiability import identifiability
+from casid.structure.identifiability import Identifiability, judged
 from casid.threads import one_thread
 
 EDGE = 2.0  # samples that a switching takes; cubic, it is 1.5 times as fast as a line
@@ -49,7 +57,8 @@ def design_inputs(
 
     A nonlinear structure is designed for by its linearisation at a trim; everything is in
     deviations from there. What is designed is then flown in the nonlinear structure itself, in its
-    loop, and made smaller until limits hold there, too; not where the trim has unknowns.
+    loop, and made smaller until limits hold there, too; what is predicted, and all standard errors,
+    are those of this flight. Where the trim has unknowns they are those of the linearisation.
 
     Parameters
     ----------
@@ -89,8 +98,8 @@ def design_inputs(
     structure = model.model if isinstance(model, Fit) else model
     check_balance(structure, trim)
     linear = linear_at(structure, trim)
-    unfelt = without_effect(free_parameters(linear, settings.fixed or (), settings.bounds))
-    settings = replace(settings, fixed=(*(settings.fixed or ()), *unfelt))
+    free = inside(free_parameters(linear, settings.fixed or (), settings.bounds))
+    settings = _of_what_is_felt(structure, free, settings)
     problem = problem_of(linear, limits, duration, fit, noise, settings)
     believed = [
         _believed(structure, each, f"ensemble[{number}]", trim, settings)
@@ -112,13 +121,30 @@ def design_inputs(
     if settings.method != "steps":
         flown["multisine"] = _multisine(problem, task)
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
-    made = _predicted(problem, task, _flight(structure, trim, problem), flown, chosen)
-    blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
+    stated = problem.of_all(free, known_before(free, fit))
+    made = _stated(structure, trim, stated, task, flown, chosen)
     count = (1 + JUDGES) * settings.draws if drawn else 0
     return replace(
         made, plausible=count, unheld=count - sum(crowd.count for crowd in drawn.values()),
-        spread=problem.spread, blind=(*made.blind, *blind),
+        spread=problem.spread,
     )  # fmt: skip
+
+
+def _of_what_is_felt(structure: Model, free: Free, settings: DesignSettings) -> DesignSettings:
+    """Settings that hold what has no effect on that by which inputs are optimised.
+
+    ValueError: it is to matter.
+    """
+    unfelt = without_effect(free)
+    if lost := [name for name in settings.matter if name in unfelt]:
+        nonlinear = isinstance(structure, NonlinearModel)
+        where = "of the linearisation at the trim, by which inputs are optimised," * nonlinear
+        elsewhere = ", or design at another trim" * nonlinear
+        raise ValueError(
+            f"matter: no matrix and no delay {where or 'of the structure'} depends on "
+            f"{lost[0]!r}: leave it out{elsewhere}"
+        )
+    return replace(settings, fixed=(*(settings.fixed or ()), *unfelt))
 
 
 def _believed(
@@ -236,6 +262,24 @@ def _flight(
     return Flight(structure, trim, problem.frees[0], problem.feedback, task)
 
 
+def _stated(
+    structure: Model,
+    trim: Trim | Mapping[str, float] | None,
+    problem: Problem,
+    rough: Task,
+    flown: Mapping[str, Array],
+    chosen: str,
+) -> Design:
+    """What all alternatives buy, of a nonlinear structure by its own flight where there is one."""
+    flight = _flight(structure, trim, problem)
+    made = _predicted(problem, rough, flight, flown, chosen)
+    if flight and (said := flight.flown(made.r).jumps()):
+        warn(f"{chosen}, as it is flown: {said}")
+    if isinstance(structure, NonlinearModel) and not flight:
+        return replace(made, unfelt=without_effect(problem.frees[0]))
+    return made
+
+
 def _predicted(
     problem: Problem, rough: Task, flight: Flight | None, flown: Mapping[str, Array], chosen: str
 ) -> Design:
@@ -247,42 +291,66 @@ def _predicted(
         r = np.stack([np.interp(t, coarse, column) for column in r.T], axis=1)
         r = r / max(1.0, float(fine.peaks(r).max()))
         exact[name] = flight.within(r) if flight else r
-    alone = {name: fine.information(r)[0] for name, r in exact.items()}
+    alone = {
+        name: flight.flown(r).information(problem.R) if flight else fine.information(r)[0]
+        for name, r in exact.items()
+    }
+    if flight:
+        tells = [problem.tellable(alone[name] + problem.known) for name in ("3-2-1-1", chosen)]
+        problem = replace(problem, told=np.logical_and(*tells))
     spread = {name: covariance(F + problem.known) for name, F in alone.items()}
     r, rest = exact[chosen], problem.settings.rest
     errors = np.sqrt(np.diag(spread[chosen]))
     longer = as_long(alone["3-2-1-1"], problem.known, errors, problem.rows)
-    seen, model = fine.loops[0].fly(r), problem.frees[0].model
-    share = fine.peaks(r)
+    model, share = problem.frees[0].model, fine.peaks(r)
+    signals = flight.fly(r) if flight else fine.loops[0].fly(r).signals
+    u, y, _ = np.split(signals, np.cumsum([len(model.inputs), len(model.outputs)]), axis=1)
     if flight:
         share = np.maximum(share, flight.shares(r))
     at_most = np.maximum(share, rough.peaks(np.stack([np.interp(coarse, t, x) for x in r.T], 1)))
-    noise = _with_noise(problem, fine, flight.fly(r) if flight else seen.signals)
-    before = np.diag(problem.known)
+    noise, before = _with_noise(problem, fine, signals), np.diag(problem.known)
     known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
     made = Design(
-        kind=chosen, inputs=model.inputs, outputs=model.outputs, t=t, r=r, u=seen.u, y=seen.y,
+        kind=chosen, inputs=model.inputs, outputs=model.outputs, t=t, r=r, u=u, y=y,
         names=problem.frees[0].names, values=problem.frees[0].guess, covariance=spread[chosen],
         before=known,
         alternatives=tuple(
             Alternative(name=name, r=exact[name], std_errors=np.sqrt(np.diag(C)))
             for name, C in spread.items()
         ),
-        used=_named(model, share), used_at_worst=_named(model, at_most),
-        used_by_noise=_named(model, noise[0]), used_with_noise=_named(model, noise[1]),
+        used=_named(problem, share), used_at_worst=_named(problem, at_most),
+        used_by_noise=_named(problem, noise[0]), used_with_noise=_named(problem, noise[1]),
         instead=rest + longer * (problem.duration - rest),
         untold=tuple(np.array(problem.frees[0].names)[~problem.told].tolist()),
-        matter=problem.settings.matter,
+        matter=problem.settings.matter, limits=problem.asked, trim=flight.trim if flight else {},
     )  # fmt: skip
     _check_told(problem, alone[chosen], made.used_at_worst)
-    judged = identifiability(model, made.record(), fixed=problem.settings.fixed or (), spread=0.0)
-    told = {name for name, size in zip(made.names, known, strict=True) if np.isfinite(size)}
-    groups = judged.confounded
-    lost = [each for each in groups if told.isdisjoint(each) or {*made.untold} & {*each}]
-    lines = str(replace(judged, confounded=tuple(lost))).splitlines()[1:]
-    earlier = [listed(each) for each in groups if each not in lost]
+    seen = judged(problem.frees[0], alone[chosen])
+    return replace(made, blind=_blind(seen, made, derived=getattr(model, "derived", False)))
+
+
+def _blind(seen: Identifiability, made: Design, *, derived: bool) -> tuple[str, ...]:
+    """What a flight alone does not tell, in words, and what is known of it from before.
+
+    Of a linearisation, which is ``derived``, what no output feels may be felt at another trim.
+    """
+    sizes = zip(made.names, made.before, strict=True)
+    told = {name for name, size in sizes if np.isfinite(size)} - {*made.untold}
+    lost = [each for each in seen.confounded if not told & {*each} or {*made.untold} & {*each}]
+    unseen = tuple(name for name in seen.insensitive if name not in told)
+    usual = () if derived else unseen
+    lines = str(replace(seen, confounded=tuple(lost), insensitive=usual)).splitlines()[1:]
+    elsewhere = "what acts away from this trim only is told at another condition"
+    if derived and unseen:
+        lines.insert(
+            0, f"no output feels {listed(unseen)} here: {elsewhere}; what acts nowhere, fix or drop"
+        )
+    if known := [name for name in seen.insensitive if name in told]:
+        also = f"; {elsewhere}" * derived
+        lines.append(f"no output feels {listed(known)} here, known before only{also}")
+    earlier = [listed(each) for each in seen.confounded if each not in lost]
     lines += [f"told apart by what is known before only: {names}" for names in earlier]
-    return replace(made, blind=tuple(lines))
+    return tuple(lines)
 
 
 def _with_noise(problem: Problem, task: Task, signals: Array) -> Array:
@@ -314,8 +382,7 @@ def _check_told(problem: Problem, F: Array, used: Mapping[str, float]) -> None:
         )
 
 
-def _named(model: Model, shares: Array) -> dict[str, float]:
+def _named(problem: Problem, shares: Array) -> dict[str, float]:
     """Shares of limits by name, where there is a limit."""
-    rates = [f"{name} rate" for name in model.inputs]
-    names = [*model.inputs, *rates, *model.outputs, *model.states]
-    return {name: share for name, share in zip(names, shares.tolist(), strict=True) if share > 0}
+    pairs = zip(problem.names, shares.tolist(), strict=True)
+    return {name: share for name, share in pairs if share > 0}

@@ -184,10 +184,7 @@ class Loop:
             free[k] = self._C @ state
             state = self.E @ state
         biases = np.broadcast_to(self._whiten, (self.N, self.ny, self.ny))
-        block = np.concatenate([free, biases], axis=2).reshape(self.N * self.ny, -1)
-        block = block / np.maximum(np.linalg.norm(block, axis=0), 1e-300)
-        basis, sizes, _ = np.linalg.svd(block, full_matrices=False)
-        return np.asarray(basis[:, sizes > 1e-10 * sizes[0]])
+        return spanned(np.concatenate([free, biases], axis=2).reshape(self.N * self.ny, -1))
 
     def fly(self, r: Array) -> Response:
         """Sticks, outputs and z after a designed input r (N, nu)."""
@@ -296,6 +293,13 @@ class Crowd:
         whole = np.conj(scipy.fft.rfft(flat, self._length, axis=0))[:, None]
         product = np.conj(whole @ self._spectra)[:, 0]
         return np.asarray(scipy.fft.irfft(product, self._length, axis=0)[: self.N])
+
+
+def spanned(block: Array) -> Array:
+    """Orthonormal basis (n, m or fewer) of what the columns of a block (n, m) span."""
+    block = block / np.maximum(np.linalg.norm(block, axis=0), 1e-300)
+    basis, sizes, _ = np.linalg.svd(block, full_matrices=False)
+    return np.asarray(basis[:, sizes > 1e-10 * sizes[0]])
 
 
 def gains(feedback: Feedback, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Array:

@@ -76,6 +76,13 @@ class Design(Shown):
         What the inputs cannot tell apart, in words.
     matter : tuple of str
         Parameters that count; all unless named. Nothing of what is compared counts others.
+    limits : mapping
+        That were asked for, deviations from trim, by the names of ``used``.
+    trim : mapping
+        Total values of states, inputs and outputs of a nonlinear structure in its trim.
+    unfelt : tuple of str
+        Parameters of which the linearisation at the trim, by which errors are stated where the trim
+        has unknowns, feels nothing.
     """
 
     kind: str
@@ -101,6 +108,9 @@ class Design(Shown):
     untold: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
     matter: tuple[str, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+    trim: Mapping[str, float] = field(default_factory=dict)
+    unfelt: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         seal(self)
@@ -129,16 +139,23 @@ class Design(Shown):
         return f"{in_minutes(self.t[-1])} of flight instead of {in_minutes(self.instead)}"
 
     def warning(self) -> str:
-        """For how many plausible aircraft limits do not hold; nothing if for all."""
-        if not self.unheld:
-            return ""
-        why = "not held by the feedback given"
-        if np.allclose(self.r, self.u):
-            why = "too unstable to be flown without feedback"
-        return (
-            f"{self.unheld} of {self.plausible} plausible aircraft are {why}: limits do not hold "
-            "for them"
-        )
+        """For how many plausible aircraft limits, and for what motions errors do not hold."""
+        said = []
+        if self.unheld:
+            why = "not held by the feedback given"
+            if np.allclose(self.r, self.u):
+                why = "too unstable to be flown without feedback"
+            said.append(
+                f"{self.unheld} of {self.plausible} plausible aircraft are {why}: limits do not "
+                "hold for them"
+            )
+        if self.unfelt:
+            said.append(
+                "standard errors are those of small motions, of which the linearisation at the "
+                f"trim feels nothing of {listed(self.unfelt)}: of large ones others may be larger; "
+                "with a trim without unknowns they are those of the nonlinear flight"
+            )
+        return "; ".join(said)
 
     @property
     def std_errors(self) -> Array:
@@ -159,7 +176,8 @@ class Design(Shown):
 
     def record(self) -> Record:
         """The flight as the model predicts it, without noise."""
-        return Record(self.t, self.u, self.y, self.inputs, self.outputs, name=self.kind)
+        names = (self.inputs, self.outputs)
+        return Record(self.t, self.u, self.y, *names, name=self.kind, trim=self.trim)
 
     def ratios(self) -> tuple[tuple[str, float, float, str], ...]:
         """Of each alternative: name, geometric mean and worst ratio to the 3-2-1-1, and whose.

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,6 +111,29 @@ class Problem:
         h = max(dt, min(duration / COARSE, 2 * np.pi / self.band[1] / FINEST))
         length = dt * round(duration / dt)
         return float(length / round(length / h))
+
+    def of_all(self, free: Free, known: Array) -> "Problem":
+        """The same to state what is told of all free parameters, of which this may lack some.
+
+        Those have no effect here: what is known of them (nf, nf) is from before.
+        """
+        own = np.isin(free.names, self.frees[0].names)
+        told = np.isin(free.names, np.array(self.frees[0].names)[self.told])
+        told |= ~own & (np.diag(known) > 0)
+        return replace(self, frees=(free, *self.frees[1:]), known=known, told=told)
+
+    @property
+    def asked(self) -> dict[str, float]:
+        """The limits there are, by their names in `names`."""
+        pairs = zip(self.names, self.limits.tolist(), strict=True)
+        return {name: limit for name, limit in pairs if np.isfinite(limit)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of what may be limited, in the order of the limits."""
+        model = self.frees[0].model
+        rates = [f"{name} rate" for name in model.inputs]
+        return (*model.inputs, *rates, *model.outputs, *model.states)
 
     def tellable(self, F: Array) -> np.ndarray:
         """Which parameters (nf,) F tells; refused if it does not tell those that matter."""

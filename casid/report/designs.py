@@ -26,8 +26,7 @@ def plot_card(axes: Sequence[Axes], design: Design) -> None:
     names, flown = (*design.inputs, *design.outputs), np.hstack([design.u, design.y])
     for each, name, signal in zip(axes, names, flown.T, strict=True):
         figures.plot_input(each, design.t, signal, channel=name, units=UNITS)
-        if share := design.used.get(name):
-            limit = float(np.abs(signal).max()) / share
+        if limit := design.limits.get(name):
             for edge in (-limit, limit):
                 each.axhline(edge, color=GREY, linestyle="--", linewidth=0.6)
     axes[-1].set_xlabel("t [s]")

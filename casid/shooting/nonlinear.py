@@ -167,6 +167,13 @@ class NonlinearEvaluator(Evaluator):
         r = self.flow.output(inner[:, 0], self.inputs(m), point.lam) + bias - layout.y
         return Track(inner[:, 0], r * layout.patterns[layout.pattern], ends, inner)
 
+    def along(self, point: Point, x: Array) -> Track:
+        """The motion whose states at the samples (N, nx) are known, as they are; no residuals."""
+        inner = np.zeros((*(stages := self.stages(self.matrices(point.lam))).eta.shape, self.nx))
+        after = self.advance(stages, np.arange(len(x)), x.copy(), point.lam, inner)
+        ends = after[self.layout.start + self.layout.count - 1]
+        return Track(inner[:, 0], np.zeros_like(self.layout.y), ends, inner)
+
     def sweep(self, point: Point, motion: Motion, W: Array) -> "NonlinearSweep":
         """What turns a simulation into rows of the Jacobian."""
         return NonlinearSweep(self, point, cast("Track", motion), W)
@@ -198,11 +205,11 @@ class NonlinearEvaluator(Evaluator):
             self.model.with_vector(self._full(point.lam)), self.simulate(point).states, u
         )
 
-    def jumps(self, point: Point) -> str:
-        """What is said of jumps that records pass in a simulation from a point; "" of none."""
+    def jumps(self, point: Point, motion: Motion | None = None) -> str:
+        """What is said of jumps that records pass in a motion, else from a point; "" of none."""
         edges = np.cumsum([record.N for record in self.layout.records])[:-1]
         m = self.matrices(point.lam)
-        x, u = self.simulate(point).states, self.inputs(m)
+        x, u = (motion or self.simulate(point)).states, self.inputs(m)
         pairs = zip(np.split(x, edges), np.split(u, edges), strict=True)
         flights = [(x[known], u[known]) for x, u in pairs if (known := np.isfinite(x).all(1)).any()]
         lines = any(record.hold == "foh" for record in self.layout.records)

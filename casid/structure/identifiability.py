@@ -175,7 +175,12 @@ def identifiability(
         F += sum(_record_information(at, r, sy) for r in chosen)
     for response in responses:
         F += _response_information(moved, response)
-    return _judge(free.names, F, _sizes(free), _ties(moved))
+    return judged(moved, F)
+
+
+def judged(free: Free, F: Array) -> Identifiability:
+    """What information F (nf, nf), by outputs over their noise, says of free parameters."""
+    return _judge(free.names, F, _sizes(free), _ties(free))
 
 
 def _ties(free: Free) -> Array:

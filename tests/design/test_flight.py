@@ -7,7 +7,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from casid import DesignSettings, Limits, NonlinearModel, Trim, design_inputs, parameter
+from casid import (
+    DataWarning,
+    DesignSettings,
+    Limits,
+    NonlinearModel,
+    Record,
+    Trim,
+    design_inputs,
+    output_error,
+    parameter,
+    simulate,
+)
 from casid.design.flight import Flight
 from casid.design.problem import problem_of
 from models.rigid_body import RigidBody
@@ -83,8 +94,9 @@ def test_limits_hold_in_the_nonlinear_structure_where_its_linearisation_would_ex
     for each in made.alternatives:  # all on the same terms
         assert np.abs(swung(made.t, each.r[:, 0])).max() < 0.7 * 1.002
     assert np.abs(swung(made.t, made.r[:, 0])).max() > 0.95 * 0.7
-    assert np.abs(made.y[:, 1]).max() < 0.65  # of the linearisation
+    assert np.abs(made.y[:, 1] - swung(made.t, made.r[:, 0])).max() < 0.01
     assert made.used["theta"] > 0.95
+    assert made.limits == {"m": 2.0, "theta": 0.7}
     np.testing.assert_array_equal(made.r, made.alternatives[-1].r)
     unknown = Trim(values={"theta": TRIM, "m": 2.0 * np.sin(TRIM)}, unknown=("m",))
     alone = design_inputs(
@@ -92,6 +104,62 @@ def test_limits_hold_in_the_nonlinear_structure_where_its_linearisation_would_ex
         settings=settings,
     )  # fmt: skip
     assert np.abs(alone.y[:, 1]).max() == pytest.approx(0.7, rel=0.01)
+
+
+def test_the_record_of_a_design_has_the_total_values_of_its_trim():
+    limits = Limits(sticks={"m": 0.5}, responses={"theta": 0.3})
+    settings = DesignSettings(dt=0.05, iterations=2, draws=0, method="steps")
+    made = design_inputs(Pendulum(), limits, 12.0, noise=NOISE, settings=settings)
+    flown = simulate(Pendulum(), made.record(), {"q": 0.0, "theta": TRIM})
+    np.testing.assert_allclose(made.record().total().y, flown.y, atol=1e-3)
+
+
+class Stuck(Pendulum):
+    """Rubs, and has a stop that no motion about its trim reaches."""
+
+    rub: float = 0.0
+    stop: float = parameter(default=3.0, lower=0.0, upper=20.0, unit="1/s^2")
+
+    def derivatives(self, x, u):
+        q, theta = super().derivatives(x, u)
+        return [q - self.rub * ca.sign(x.q) - self.stop * ca.fmax(x.theta - 1.5, 0.0) ** 2, theta]
+
+
+def stopped(model, **options):
+    settings = DesignSettings(dt=0.05, iterations=2, draws=0, method="steps", **options)
+    limits = Limits(sticks={"m": 0.5}, responses={"theta": 0.3})
+    return design_inputs(model, limits, 12.0, noise=NOISE, settings=settings)
+
+
+@pytest.mark.second
+def test_what_acts_at_another_trim_only_is_said_so_untold_unless_it_is_known():
+    made = stopped(Stuck())
+    assert made.untold == ("stop",)
+    (said,) = made.blind
+    assert said.startswith("no output feels stop here: what acts away from this trim only is told")
+    assert "| stop | 3 | inf | not told | not told |" in made.to_markdown()
+    with pytest.raises(ValueError, match="depends on 'stop': leave it out, or design at another"):
+        stopped(Stuck(), matter=("stop",))
+    t = 0.05 * np.arange(300)
+    u = 2.0 * np.sin(TRIM) + 0.9 * np.sign(np.sin(0.9 * t))[:, None]
+    empty = Record(t, u, np.zeros((300, 2)), ("m",), ("q", "theta"))
+    flown = simulate(Stuck(), empty).with_noise(NOISE, np.random.default_rng(0))
+    assert flown.y[:, 1].max() > 1.8
+    fit = output_error(Stuck(), flown)
+    known = stopped(fit)
+    assert known.untold == ()
+    (said,) = known.blind
+    assert said.startswith("no output feels stop here, known before only; what acts away from")
+    place = known.names.index("stop")
+    assert known.std_errors[place] <= known.before[place] < 0.1 * 3.0
+
+
+def test_a_jump_that_the_trim_stands_on_and_the_flight_passes_is_told():
+    with pytest.warns(DataWarning) as told:
+        stopped(Stuck(rub=0.05))
+    at_trim, flown = (str(each.message) for each in told)
+    assert at_trim.startswith("linearised where dq/dt jumps at q = 0: the slope there is neither")
+    assert flown.startswith("steps, as it is flown: dq/dt jumps at q = 0, passed")
 
 
 def test_what_runs_away_is_made_smaller_until_it_does_not():

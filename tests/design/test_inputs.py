@@ -261,14 +261,17 @@ def swung(model, **options):
 @pytest.mark.second
 def test_a_nonlinear_structure_is_designed_for_by_its_linearisation_at_the_trim():
     by_hand = swung(Linear())
-    made = swung(Pendulum())
-    assert made.names == ("k", "c")
-    assert made.blind[-1] == "drift: no effect on the linearisation at the trim"
-    np.testing.assert_allclose(made.r, by_hand.r, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(made.covariance, by_hand.covariance, rtol=1e-6)
-    elsewhere = swung(Pendulum(), trim={"theta": 0.3, "m": 2 * np.sin(0.3)})
-    there = swung(Linear(theta0=0.3))
-    np.testing.assert_allclose(elsewhere.covariance, there.covariance, rtol=1e-6)
+    np.testing.assert_allclose(swung(Pendulum()).r, by_hand.r, rtol=1e-6, atol=1e-9)
+    for theta in (0.8, 0.3):
+        unknown = Trim(values={"theta": theta, "m": 2 * np.sin(theta)}, unknown=("m",))
+        made = swung(Pendulum(), trim=unknown)  # stated by the linearisation
+        there = swung(Linear(theta0=theta))
+        np.testing.assert_allclose(made.covariance[:2, :2], there.covariance, rtol=1e-6)
+        assert made.names == ("k", "c", "drift", "m_trim")
+        assert made.untold == made.unfelt == ("drift", "m_trim")
+        assert "feels nothing of drift, m_trim" in made.warning()
+        assert "| drift | 0 | inf | not told | not told |" in made.to_markdown()
+    assert by_hand.warning() == ""
 
 
 def test_a_nonlinear_structure_has_to_be_in_balance_and_a_linear_one_has_its_trim():
@@ -285,7 +288,7 @@ def test_a_nonlinear_structure_has_to_be_in_balance_and_a_linear_one_has_its_tri
     others = swung(
         Pendulum(), ensemble=[Pendulum(k=2.1)], trim={"theta": 0.8}
     )  # its trim, not theirs
-    assert others.names == ("k", "c")
+    assert others.names == ("k", "c", "drift")
     with pytest.raises(ValueError, match="about its own trim"):
         swung(Linear(), trim={"theta": 0.3})
 

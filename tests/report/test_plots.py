@@ -133,13 +133,13 @@ def test_a_design_draws_sticks_and_outputs_with_their_limits():
     design = Design(
         kind="steps", inputs=("lat",), outputs=("p",), t=t, r=0.5 * signal, u=signal, y=2 * signal,
         names=("Lp",), values=np.ones(1), covariance=np.eye(1), before=np.ones(1), alternatives=(),
-        used={"p": 0.5}, used_at_worst={"p": 0.5},
+        used={"p": 0.5}, used_at_worst={"p": 0.5}, limits={"p": 4.0},
     )  # fmt: skip
     axes = design.plot()
     labels = [line.get_label() for line in axes[0].lines]
     assert "card, before feedback" in labels
     edges = [line.get_ydata()[0] for line in axes[1].lines if len(line.get_ydata()) == 2]
-    np.testing.assert_allclose(edges, [-2 * 2 * signal.max(), 2 * 2 * signal.max()])
+    assert edges == [-4.0, 4.0]
 
 
 @pytest.mark.second
