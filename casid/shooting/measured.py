@@ -13,7 +13,7 @@ their points count less by as much, as lines of records do by their spectrum.
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -31,6 +31,7 @@ from casid.frequency.covariance import steadied, whitener
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.record import Record
+from casid.shooting.agreement import Source, disagreement
 
 REACH = 0.35  # of the smoothing [nepers of frequency]
 SURE = 4.0  # standard errors of a mean power above one that noise does not explain
@@ -43,6 +44,11 @@ WHY = (
     "in half of their points or more: a unit or a sign, another flight condition, or what the "
     "structure misses. They count less by as much"
 )
+APART = (
+    "the estimate is between both and all errors believe both. Look for units and gains of single "
+    "channels, a delay or another clock, another flight condition, or what the structure misses, "
+    "which the two may show differently; leave one of them out and compare"
+)
 
 
 class MeasuredResponses:
@@ -53,7 +59,13 @@ class MeasuredResponses:
 
     def __init__(self, free: Free, responses: Sequence[FrequencyResponse]) -> None:
         self._matrices = MatrixFunction(free)
-        self._responses = [_Measured(free.model, each) for each in responses]
+        self._names, self._index = free.names, free.index
+        self._responses = [
+            _Measured(
+                free.model, each, f"response {k} (from {', '.join(each.records) or 'elsewhere'})"
+            )
+            for k, each in enumerate(responses, 1)
+        ]
         self.weights: tuple[Array, ...] = tuple(np.ones(each.rows) for each in self._responses)
         self._last: tuple[bytes, list[tuple[Array, Array]]] = b"", []
 
@@ -71,19 +83,23 @@ class MeasuredResponses:
             found.append(each.excess(r))
         return tuple(found)
 
-    def contradicted(self) -> str:
-        """Pairs whose points, half of them or more, are far beyond their stated errors; or ""."""
-        pairs = zip(self._responses, self.weights, strict=True)
-        far = [
-            f"{output} after {inp} {factor:.2g} times"
-            for each, weights in pairs
-            for output, inp, factor in each.factors(weights)
-            if factor > FAR
-        ]
-        return (
-            f"measured responses are farther off than their stated errors, {listed(far)}, {WHY}"
-            * bool(far)
-        )
+    def doubts(self, fit: AnyFit) -> Iterator[str]:
+        """What speaks against responses at the estimate with these weights, in words."""
+        found = list(zip(self._responses, self.weights, strict=True))
+        far = [each.far(weights) for each, weights in found]
+        if any(far):
+            pairs = listed([each for some in far for each in some])
+            yield f"measured responses are farther off than their stated errors, {pairs}, {WHY}"
+        parts = self._parts(fit.model.vector()[self._index])
+        for (each, _), told, (r, J) in zip(found, far, parts, strict=True):
+            F = J.T @ J
+            own = Source(J.T @ r, F, _believed(r) * F)
+            off = disagreement(own, fit.notes.cramer_rao, np.asarray(fit.covariance))
+            if off.significant and not told:
+                yield (
+                    f"{each.name} contradicts the records and what else counts, "
+                    f"{off.told(self._names)}: {APART}"
+                )
 
     def residuals(self, values: Array) -> tuple[Array, Array]:
         """Independent residuals (m,) of unit variance at free values (nf,), and derivatives."""
@@ -95,9 +111,7 @@ class MeasuredResponses:
 
         Where residuals are larger than stated they are believed, response by response.
         """
-        return np.asarray(
-            sum(max(1.0, float(np.mean(r**2))) * (J.T @ J) for r, J in self._parts(values))
-        )
+        return np.asarray(sum(_believed(r) * (J.T @ J) for r, J in self._parts(values)))
 
     def _parts(self, values: Array) -> list[tuple[Array, Array]]:
         key = values.tobytes()
@@ -106,6 +120,11 @@ class MeasuredResponses:
             weighed = zip(self.weights, plain, strict=True)
             self._last = key, [(w * r, w[:, None] * J) for w, (r, J) in weighed]
         return self._last[1]
+
+
+def _believed(r: Array) -> float:
+    """Variance of residuals r that are no surer than stated."""
+    return max(1.0, float(np.mean(r**2)))
 
 
 def reweighed(
@@ -129,7 +148,7 @@ def reweighed(
         fit = estimate(own, not settled)
         iterations, seconds = iterations + fit.iterations, seconds + fit.seconds
         if settled:
-            if said := evidence.weighed(weights).contradicted():
+            for said in evidence.weighed(weights).doubts(fit):
                 warn(f"{fit.method}: {said}")
             notes = replace(fit.notes, response_weights=tuple(weights))
             return replace(fit, notes=notes, iterations=iterations, seconds=seconds)
@@ -142,7 +161,8 @@ def reweighed(
 class _Measured:
     """One response in the channels of a structure."""
 
-    def __init__(self, model: Model, response: FrequencyResponse) -> None:
+    def __init__(self, model: Model, response: FrequencyResponse, name: str) -> None:
+        self.name = name
         rows = [k for k, name in enumerate(response.outputs) if name in model.outputs]
         columns = [k for k, name in enumerate(response.inputs) if name in model.inputs]
         own_rows = [model.outputs.index(response.outputs[k]) for k in rows]
@@ -157,12 +177,13 @@ class _Measured:
         stated = np.nan_to_num(response.coherence, nan=1.0) < 1
         self._relative = self._whiten.used & ~stated
 
-    def factors(self, weights: Array) -> list[tuple[str, str, float]]:
-        """Output, input and by how much their points count less, at the median of each pair's."""
+    def far(self, weights: Array) -> list[str]:
+        """Pairs whose points, half of them or more, are far beyond their stated errors."""
         found, first, nu = [], 0, len(self._names[1])
         for pair, at, _ in self._whiten.along:
             output, inp = self._names[0][pair // nu], self._names[1][pair % nu]
-            found.append((output, inp, float(np.median(1 / weights[first : first + len(at)]))))
+            factor = float(np.median(1 / weights[first : first + len(at)]))
+            found += [f"{output} after {inp} {factor:.2g} times"] * (factor > FAR)
             first += len(at)
         return found
 

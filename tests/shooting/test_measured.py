@@ -208,6 +208,31 @@ def test_a_response_in_another_unit_or_of_another_sign_is_told(domain):
 
 
 @pytest.mark.second
+@pytest.mark.filterwarnings("ignore:.*rests on few lines")
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_a_response_that_contradicts_the_records_is_told_with_what_it_is_about(domain):
+    # 10 % of gain or 20 ms are no more than three errors of any point, and many of all together.
+    late = np.exp(-0.02j * OMEGA)[:, None, None]
+    for factor, about in ((1.1, r"L(lat|ped) \d"), (late, r"tau \d")):
+        wrong = replace(measured(), G=factor * measured().G)
+        said = rf"response 2 \(from there\) contradicts the records.* {about}"
+        both = [measured(0.3, seed=9), replace(wrong, records=("there",))]
+        with pytest.warns(DataWarning, match=said):
+            output_error(TRUTH, RECORDS, responses=both, domain=domain)
+
+
+@pytest.mark.second
+@pytest.mark.filterwarnings("error::casid.DataWarning")
+def test_a_response_of_correlated_errors_contradicts_nothing():
+    rng, rho = np.random.default_rng(4), np.exp(-((OMEGA - OMEGA[:, None]) ** 2) / (4 * 0.5**2))
+    L, G = np.linalg.cholesky(rho + 1e-10 * np.eye(20)), TRUTH.system().response(OMEGA)
+    noise = rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)
+    noise = np.tensordot(L, noise, 1)
+    alike = replace(measured(), G=G * (1 + 0.03 * noise), resolution=np.full(G.shape, 0.5))
+    output_error(TRUTH, RECORDS, responses=alike)
+
+
+@pytest.mark.second
 def test_the_same_numbers_count_once():
     one, other = measured(seed=1), measured(seed=2)
     G = other.G.copy()
