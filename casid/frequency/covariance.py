@@ -35,6 +35,8 @@ class Whitener:
     used: BoolArray  # (K, ny, nu) points that count: measured, with a stated error, not flagged
     across: ComplexArray  # (K, ny nu, ny nu) A_k⁻¹ of a frequency's pairs, triangular; zero unused
     along: tuple[tuple[int, NDArray[np.intp], Array], ...]  # pair, its places, inverse root of ρ
+    std: Array  # (K, ny, nu) stated errors of the points; 1 unused
+    independent: float  # so many independent points have a mean power that scatters as theirs
 
     def __call__(self, values: ComplexArray) -> ComplexArray:
         """Values (K, ny, nu, ...) as rows (points, ...) whose errors are independent.
@@ -86,12 +88,17 @@ def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
     S = S.reshape(K, ny * nu, ny * nu)
     both = pairs[:, :, None] & pairs[:, None, :]
     S = np.where(both, S, np.eye(ny * nu))
+    alike = np.sum(np.abs(np.where(both, S, 0.0)) ** 2, axis=2)  # (K, ny nu) shared with all pairs
     inverse = np.linalg.inv(np.linalg.cholesky((1 - ALONE) * S + ALONE * np.eye(ny * nu)))
     across = np.where(both, inverse / std[:, None, :], 0.0)
     width = response.resolution.reshape(K, -1)
     places = [(p, np.flatnonzero(pairs[:, p])) for p in range(ny * nu)]
     along = [(p, at, _root(response.omega[at], width[at, p])) for p, at in places if len(at)]
-    return Whitener(used, across, tuple(along))
+    shared = sum(
+        np.mean(alike[at, p]) * np.sum(np.linalg.inv(root.T @ root) ** 2) for p, at, root in along
+    )
+    independent = float(used.sum() ** 2 / shared)
+    return Whitener(used, across, tuple(along), std.reshape(used.shape), independent)
 
 
 def _root(omega: Array, width: Array) -> Array:

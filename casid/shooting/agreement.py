@@ -1,4 +1,4 @@
-"""Whether one source of an estimate agrees with all others together.
+"""Whether one source of an estimate agrees with all others together, and with its own errors.
 
 Where several sources add their parts to one cost, their gradients are nothing in all at the
 estimate; that of one, g, tells by how much it pulls against the rest. With P the inverse
@@ -14,7 +14,7 @@ F - F P F where all is as stated: the test of specification of J. A. Hausman, Ec
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtr, chdtrc, chdtri
 
 from casid.arrays import Array
 from casid.display import listed
@@ -24,6 +24,7 @@ SAID = 1e-3  # of the information in a direction, that the source and the rest e
 GONE = 1e-12  # of the largest variance in units of the parameters' own: held
 APART = 2.0  # standard errors from which a parameter is named
 MOST = 3  # parameters named
+SMALLER, LARGER = 0.25, 1.2  # of what is stated: residuals that say something of their errors
 
 
 class Source(NamedTuple):
@@ -82,3 +83,27 @@ def disagreement(source: Source, P: Array, V: Array) -> Disagreement:
     std = np.linalg.norm((way * plain) @ axes * np.sqrt(factor), axis=1)
     apart = np.divide(way @ u, std, out=np.zeros_like(std), where=std > 0)
     return Disagreement(square, int(told.sum()), apart)
+
+
+def misstated(power: Array, independent: float, decided: float) -> float:
+    """By what factor residuals are smaller or larger than stated, 1 where chance may be why.
+
+    Parameters
+    ----------
+    power : (n,) array
+        Of complex residuals, 1 on average where errors are as stated.
+    independent : float
+        So many independent ones have a mean that scatters as theirs.
+    decided : float
+        So many parameters they decide.
+    """
+    freedom = 2 * independent - decided
+    if freedom < 1:
+        return 1.0
+    square = 2 * independent * float(np.mean(power))
+    factor = np.sqrt(square / freedom)
+    if factor < SMALLER and chdtr(freedom, square) < SELDOM:
+        return float(factor)
+    # Of most points: what a structure misses at some is no error of all.
+    usual = min(factor, np.sqrt(np.median(power) / np.log(2)))
+    return float(usual) if usual > LARGER and chdtrc(freedom, square) < SELDOM else 1.0

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, ComplexArray
 from casid.display import listed
 from casid.errors import warn
 from casid.evaluation import MatrixFunction
@@ -31,7 +31,7 @@ from casid.frequency.covariance import steadied, whitener
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.record import Record
-from casid.shooting.agreement import Source, disagreement
+from casid.shooting.agreement import Source, disagreement, misstated
 
 REACH = 0.35  # of the smoothing [nepers of frequency]
 SURE = 4.0  # standard errors of a mean power above one that noise does not explain
@@ -48,6 +48,14 @@ APART = (
     "the estimate is between both and all errors believe both. Look for units and gains of single "
     "channels, a delay or another clock, another flight condition, or what the structure misses, "
     "which the two may show differently; leave one of them out and compare"
+)
+LARGE = (
+    "with errors stated too large a response hardly counts; they are shares of the gain, 0.04 for "
+    "4 %: of such, percent are 100 times as much and decibels 8.7 times"
+)
+SMALL = (
+    "the errors stated are too small by that, or the structure misses as much. Points count less "
+    "where that is sure, but errors of parameters may be too small: state a larger random_error"
 )
 
 
@@ -85,20 +93,24 @@ class MeasuredResponses:
 
     def doubts(self, fit: AnyFit) -> Iterator[str]:
         """What speaks against responses at the estimate with these weights, in words."""
-        found = list(zip(self._responses, self.weights, strict=True))
-        far = [each.far(weights) for each, weights in found]
+        far = [each.far(w) for each, w in zip(self._responses, self.weights, strict=True)]
         if any(far):
             pairs = listed([each for some in far for each in some])
             yield f"measured responses are farther off than their stated errors, {pairs}, {WHY}"
-        parts = self._parts(fit.model.vector()[self._index])
-        for (each, _), told, (r, J) in zip(found, far, parts, strict=True):
+        values, P = fit.model.vector()[self._index], fit.notes.cramer_rao
+        for each, told, (r, J) in zip(self._responses, far, self._parts(values), strict=True):
             F = J.T @ J
-            own = Source(J.T @ r, F, _believed(r) * F)
-            off = disagreement(own, fit.notes.cramer_rao, np.asarray(fit.covariance))
+            off = disagreement(Source(J.T @ r, F, _believed(r) * F), P, np.asarray(fit.covariance))
+            size = each.misstated(self._matrices, values, float(np.trace(P @ F)))
             if off.significant and not told:
                 yield (
                     f"{each.name} contradicts the records and what else counts, "
                     f"{off.told(self._names)}: {APART}"
+                )
+            elif size != 1 and not told:
+                yield (
+                    f"{each.name} is {size:.2g} times its stated errors off, which is no chance: "
+                    f"{LARGE if size < 1 else SMALL}"
                 )
 
     def residuals(self, values: Array) -> tuple[Array, Array]:
@@ -162,7 +174,7 @@ class _Measured:
     """One response in the channels of a structure."""
 
     def __init__(self, model: Model, response: FrequencyResponse, name: str) -> None:
-        self.name = name
+        self.name, self._estimated = name, bool(response.flights())
         rows = [k for k, name in enumerate(response.outputs) if name in model.outputs]
         columns = [k for k, name in enumerate(response.inputs) if name in model.inputs]
         own_rows = [model.outputs.index(response.outputs[k]) for k in rows]
@@ -206,18 +218,31 @@ class _Measured:
         return np.tile(np.concatenate(found), 2)
 
     def residuals(self, matrices: MatrixFunction, values: Array) -> tuple[Array, Array]:
+        """Independent residuals (rows,) of unit variance, and derivatives (rows, nf)."""
         try:
-            G, slopes = matrices(values).response_slopes(self._s)
+            off, slopes = self._off(matrices, values)
         except np.linalg.LinAlgError:  # a pole on a frequency
             return np.full(self.rows, np.nan), np.full((self.rows, len(values)), np.nan)
+        r, J = self._whiten(off), self._whiten(slopes)
+        return np.concatenate([r.real, r.imag]), np.vstack([J.real, J.imag])
+
+    def _off(self, matrices: MatrixFunction, values: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Measured less structure's response (K, ny, nu), and derivatives (K, ny, nu, nf)."""
+        G, slopes = matrices(values).response_slopes(self._s)
         model, by_lam = self._G.copy(), np.zeros((*self._G.shape, len(values)), complex)
         model[self._place] = G[self._own]
         by_lam[self._place] = np.moveaxis(slopes, 0, -1)[self._own]
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(self._relative, self._G / model, 1.0)
         off = np.where(self._relative, self._G * np.log(ratio), self._G - model)
-        r, J = self._whiten(off), self._whiten(-by_lam * ratio[..., None])
-        return np.concatenate([r.real, r.imag]), np.vstack([J.real, J.imag])
+        return off, -by_lam * ratio[..., None]
+
+    def misstated(self, matrices: MatrixFunction, values: Array, decided: float) -> float:
+        """By what factor residuals are off their stated errors, deciding so many parameters."""
+        off = np.abs(self._off(matrices, values)[0]) / self._whiten.std
+        power = off[self._whiten.used] ** 2 / 2
+        size = misstated(power, self._whiten.independent, decided)
+        return max(size, 1.0) if self._estimated else size  # leakage is the most that it may be
 
 
 def check_responses(

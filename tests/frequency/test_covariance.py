@@ -66,6 +66,25 @@ def test_correlated_errors_become_independent(monkeypatch):
     np.testing.assert_allclose(spread, (gains.T @ C @ gains.conj()).real, rtol=1e-5, atol=1e-4)
 
 
+def test_so_many_independent_points_have_a_mean_power_that_scatters_as_theirs():
+    K = len(OMEGA)
+    S, Q = np.array([[1, 0.6j, 0], [-0.6j, 1, 0.3], [0, 0.3, 1]]), np.array([[1, 0.5], [0.5, 1]])
+    assert whitener(response(), EVERY).independent == pytest.approx(6 * K)
+    alike = {
+        "output_correlation": np.tile(S, (K, 1, 1)),
+        "input_correlation": np.tile(Q, (K, 1, 1)),
+    }
+    measured = response(resolution=np.full((K, 3, 2), 0.2), **alike)
+    found = whitener(measured, EVERY)
+    rho = np.exp(-((OMEGA - OMEGA[:, None]) ** 2) / (4 * 0.2**2)) + 1e-9 * np.eye(K)
+    L = np.kron(np.linalg.cholesky(rho), np.linalg.cholesky(np.kron(S, Q)))
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((2, len(L), 4000))
+    power = np.abs(L @ (noise[0] + 1j * noise[1])) ** 2 / 2
+    assert found.independent == pytest.approx(1 / np.var(power.mean(axis=0)), rel=0.25)
+    np.testing.assert_allclose(found.std, 0.1 * np.abs(measured.G))
+
+
 def test_a_point_that_came_out_sure_by_chance_counts_no_more_than_its_neighbours():
     # By hand: all points alike but one, whose neighbours' weights fall off over 0.7 nepers.
     flat = np.ones((len(OMEGA), 3, 2), dtype=complex)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from casid.shooting.agreement import SELDOM, Source, disagreement
+from casid.shooting.agreement import SELDOM, SMALLER, Source, disagreement, misstated
 
 RNG = np.random.default_rng(3)
 NF = 4
@@ -76,3 +76,28 @@ def test_agreement_is_called_none_as_seldom_as_said():
     assert f"in {NF} combinations of parameters, where chance exceeds 18 once" in found.told(
         ("a", "b", "c", "d")
     )
+
+
+def test_residuals_as_large_as_stated_are_called_otherwise_as_seldom_as_said():
+    # The mean of 50 independent complex residuals is chi-square of 100 degrees of freedom.
+    draws = RNG.exponential(size=(4000, 50))
+    assert np.mean([misstated(each, 50.0, 0.0) != 1 for each in draws]) < 3 * SELDOM
+    # Ten of every residual are alike: there are no more for that.
+    alike = np.repeat(RNG.exponential(size=(4000, 5)), 10, axis=1)
+    assert np.mean([misstated(each, 5.0, 0.0) != 1 for each in alike]) < 3 * SELDOM
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.5 * SMALLER, 1.5, 3.0])
+def test_residuals_of_another_size_than_stated_tell_by_what(factor):
+    found = misstated(factor**2 * RNG.exponential(size=4000), 4000.0, 7.0)
+    assert found == pytest.approx(factor, rel=0.1)
+
+
+def test_what_is_off_at_some_points_is_no_error_of_all():
+    power = RNG.exponential(size=100)
+    power[:15] *= 100.0
+    assert misstated(power, 100.0, 0.0) == 1
+
+
+def test_few_points_that_many_parameters_take_tell_nothing():
+    assert misstated(np.full(3, 1e-6), 3.0, 6.0) == 1

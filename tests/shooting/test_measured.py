@@ -222,6 +222,22 @@ def test_a_response_that_contradicts_the_records_is_told_with_what_it_is_about(d
 
 
 @pytest.mark.second
+@pytest.mark.filterwarnings("ignore:.*rests on few lines")
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_errors_stated_in_other_units_or_too_small_are_told(domain):
+    right = measured()
+    cases = (
+        (100, "0.0[01].*percent"),
+        (8.7, r"0\.1\d? times.*decibels"),
+        (0.5, "(1.[6-9]|2).*small"),
+    )
+    for factor, said in cases:
+        wrong = replace(right, random_error=factor * right.random_error)
+        with pytest.warns(DataWarning, match=rf"response 1 .* is {said}"):
+            output_error(TRUTH, RECORDS, responses=wrong, domain=domain)
+
+
+@pytest.mark.second
 @pytest.mark.filterwarnings("error::casid.DataWarning")
 def test_a_response_of_correlated_errors_contradicts_nothing():
     rng, rho = np.random.default_rng(4), np.exp(-((OMEGA - OMEGA[:, None]) ** 2) / (4 * 0.5**2))
