@@ -22,6 +22,7 @@ from casid import (
     output_error,
     parameter,
 )
+from casid.shooting.measured import check_responses
 
 OMEGA = np.geomspace(0.5, 10.0, 20)
 RECORDS = campaign(1, 2)
@@ -257,6 +258,37 @@ def test_the_same_numbers_count_once():
     with pytest.raises(ValueError, match=f"two responses have the same numbers of {pair}"):
         output_error(TRUTH, RECORDS, responses=[one, replace(other, G=G)])
     output_error(TRUTH, RECORDS, responses=[one, other])
+
+
+@pytest.mark.parametrize("digits", [6, 5, 4])
+def test_the_same_numbers_rounded_count_once(digits):
+    one, other = measured(seed=1), measured(seed=2)
+
+    def printed(x):
+        return np.array([float(f"{each:.{digits}g}") for each in np.ravel(x)]).reshape(np.shape(x))
+
+    # As a table has them, in decibels and degrees: 4 digits of 120 degrees are 0.05, 0.001 rad.
+    gain, phase = printed(20 * np.log10(np.abs(one.G))), printed(np.degrees(np.angle(one.G)))
+    G = 10 ** (gain / 20) * np.exp(1j * np.radians(phase))
+    copy = replace(one, omega=printed(one.omega), G=G)
+    said = "two responses agree in ay after lat within .* as one does with its numbers rounded"
+    for both in ([one, copy], [copy.take(range(0, 20, 3)), one]):
+        with pytest.raises(ValueError, match=said):
+            check_responses(TRUTH, both, [])
+    check_responses(TRUTH, [one, other], [])
+    check_responses(TRUTH, [one.between(0.5, 2), copy.between(2.1, 10)], [])
+
+
+def test_responses_of_other_flights_may_be_closer_than_their_leakage():
+    flights = (
+        {"records": ("a",), "fingerprints": (("1",),)},
+        {"records": ("b",), "fingerprints": (("2",),)},
+    )
+    both = [replace(measured(), **flown) for flown in flights]
+    both[1] = replace(both[1], G=both[1].G * (1 + 1e-4))
+    check_responses(TRUTH, both, [])
+    with pytest.raises(ValueError, match="two responses agree"):
+        check_responses(TRUTH, [both[0], replace(both[1], fingerprints=())], [])
 
 
 def test_draws_of_records_alone_are_refused():
