@@ -181,8 +181,8 @@ def _filtered(lam: ComplexArray, w: Array | ComplexArray) -> ComplexArray:
 
 def _real(phi: ComplexArray, modal: modes.Modal) -> Array:
     """Real basis of modal signals (N, ..., nm); see `casid.subspace.modal.pair`."""
-    conjugate = np.where(modal.real, 0.0, phi.conj())
-    return np.asarray(modes.pair(phi, conjugate, modal.real).real)
+    sums = np.where(modal.real, 1.0, 2.0) * phi.real
+    return np.concatenate([sums, -2.0 * phi.imag[..., ~modal.real]], axis=-1)
 
 
 def _centred(signal: Array, weight: Array) -> Array:
@@ -192,13 +192,11 @@ def _centred(signal: Array, weight: Array) -> Array:
 
 
 def _decay(modal: modes.Modal, N: int) -> ComplexArray:
-    """μ^k, (N, nm)."""
-    start = np.zeros((N, len(modal.lam)), dtype=complex)
-    start[0] = 1.0
-    out = np.empty_like(start)
-    for m, pole in enumerate(modal.lam):
-        out[:, m] = scipy.signal.lfilter([1.0], [1.0, -pole], start[:, m])
-    return out
+    """μ^k, (N, nm); each doubling of the rows takes one product."""
+    rows, step = np.ones((1, len(modal.lam)), dtype=complex), modal.lam
+    while len(rows) < N:
+        rows, step = np.concatenate([rows, rows * step]), step * step
+    return np.asarray(rows[:N])
 
 
 def _states(

@@ -56,3 +56,14 @@ def test_what_is_not_late_is_felt_at_once_also_from_no_direct_term_on(start):
     (left,) = residuals([record], np.array([2.0, 1.5, 0.0]), model)
     assert start - found.g[1] / found.F[1, 1] == pytest.approx(1.5, rel=1e-9)
     assert np.abs(left.E).max() < 1e-11 * np.abs(transformed([record])[0].Y).max()
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_records_of_as_many_lines_but_other_frequencies_share_nothing_wrong(hold):
+    records = [replace(CLEAN[0].take(slice(0, N)), hold=hold) for N in (598, 599, 600)]
+    assert [len(each.z) for each in transformed(records)] == [299, 299, 300]
+    lam = 1.05 * TRUTH.vector()
+    for record, found in zip(records, residuals(records, lam), strict=True):
+        (alone,) = residuals([record], lam)
+        np.testing.assert_allclose(found.E, alone.E, atol=1e-12)
+        np.testing.assert_allclose(found.g, alone.g, rtol=1e-9)
