@@ -65,6 +65,8 @@ class Frozen:
         if self.dart:
             what = f"{self.channel} leaves its way {when} and returns"
             return f"{what}: unless it was moved so, leave these rows out (Record.take)"
+        if self.source is not None:
+            return f"{what}: unless it was moved so twice, leave these rows out (Record.cut)"
         return f"{what}; no one knows the inputs there: leave these rows out (Record.cut)"
 
 

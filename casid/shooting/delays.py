@@ -21,6 +21,7 @@ from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator
 
 NEAR = 0.1  # of the way from break to break: a kink that noise may have held an estimate on
+ROUNDING = 1e-9  # of a price, that a tie does not take over
 EDGE = 1e-6  # of the least such way: on a whole sample
 
 
@@ -263,7 +264,26 @@ def breaking(records: Iterable[Record], delays: Heard, lam: Array) -> Iterator[D
             yield Delay(a, value, inputs, tau, rate, first, apart.ravel(), rising, jump)
 
 
-def own_prices(prices: Array, bounded: Free, free: Free) -> Array:
-    """Multipliers (nf,) of bounds; the ends of a stretch, which are no own bounds, have none."""
+def own_prices(
+    prices: tuple[Array, Array], bounded: Free, free: Free, lam: Array, scales: Array
+) -> tuple[Array, Array]:
+    """Multipliers of bounds (nf,) and constraints (m,) without those of the ends of a stretch.
+
+    These are no own bounds. What an end bears beside a tie that holds the same parameter is the
+    tie's: only their sum is told. ``lam`` (nf,) are values, multipliers those of these in units of
+    ``scales`` and of the constraints over their sizes.
+    """
+    bounds, constraints = prices
     same = (bounded.lower == free.lower)[free.index], (bounded.upper == free.upper)[free.index]
-    return np.asarray(prices * np.where(prices < 0, *same))
+    own = np.asarray(bounds * np.where(bounds < 0, *same))
+    gone, (lower, upper) = bounds - own, free.constraint_limits
+    ties = np.flatnonzero(lower == upper)
+    if not gone.any() or not len(ties):
+        return own, constraints
+    slopes = (free.constraint_slopes(lam) * scales / free.constraint_sizes[:, None])[ties]
+    more = np.linalg.lstsq(slopes.T, gone, rcond=None)[0]
+    if np.abs(slopes.T @ more - gone).max() > ROUNDING * np.abs(gone).max():
+        return own, constraints
+    all_of_them = constraints.copy()
+    all_of_them[ties] += more
+    return own, all_of_them

@@ -262,9 +262,13 @@ class Search:
 
     def _released(self, outcome: Outcome) -> Outcome:
         """The outcome under its own bounds; the ends of a stretch have no price."""
-        prices, nf = outcome.solution.multipliers_x.copy(), len(self.free.index)
-        prices[:nf] = own_prices(prices[:nf], outcome.programme.free, self.free)
-        solution = replace(outcome.solution, multipliers_x=prices)
+        programme, solution = outcome.programme, outcome.solution
+        lam, nf = programme.unpack(solution.x).lam, len(self.free.index)
+        prices, ties = solution.multipliers_x.copy(), solution.multipliers_g.copy()
+        first = len(ties) - len(self.free.constraint_sizes)
+        own, scales = (prices[:nf], ties[first:]), programme.scales.lam[:nf]
+        prices[:nf], ties[first:] = own_prices(own, programme.free, self.free, lam, scales)
+        solution = replace(solution, multipliers_x=prices, multipliers_g=ties)
         return replace(
             outcome, programme=outcome.programme.variant(free=self.free), solution=solution
         )

@@ -188,6 +188,7 @@ def _within(free: Free, a: int, ends: Array, jump: bool) -> Iterator[Free]:
 def _released(end: SpectralOutcome, free: Free) -> SpectralOutcome:
     """The outcome under its own bounds; the ends of a side have no price."""
     last, solution = end.programme, end.solution
-    prices = own_prices(solution.multipliers_x, last.residuals.free, free)
-    programme = last.released(free)
-    return replace(end, programme=programme, solution=replace(solution, multipliers_x=prices))
+    found = solution.multipliers_x, solution.multipliers_g
+    prices, ties = own_prices(found, last.residuals.free, free, end.lam, last.scales)
+    solution = replace(solution, multipliers_x=prices, multipliers_g=ties)
+    return replace(end, programme=last.released(free), solution=solution)

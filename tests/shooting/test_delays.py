@@ -3,6 +3,7 @@
 import contextlib
 import warnings
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from truths.late_pair import Against, Alike, Longer, Pair, Twice, paired, scanne
 
 from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
 from casid import (
+    Constraint,
     ConvergenceError,
     DataWarning,
+    Model,
     Record,
     Scalar,
     SolverOptions,
@@ -24,7 +27,7 @@ from casid import (
 )
 from casid.free import free_parameters
 from casid.shooting import search
-from casid.shooting.delays import calm, neighbours, stuck
+from casid.shooting.delays import calm, neighbours, own_prices, stuck
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
@@ -350,3 +353,46 @@ def test_a_delay_of_a_fixed_parameter_and_a_free_one_is_that_ones():
     grid = np.arange(0.0802, 0.1, 0.0005)
     least = min(scanned(Longer, each, records) for each in grid)
     assert scanned(Longer, fit.model.tau, records) <= least + 0.01
+
+
+class Tied(Model):
+    """x' = a x + b u(t - tau) with one relation between its parameters."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+
+    a: Scalar = parameter(default=-2.0, lower=-9.0, upper=0.0, unit="1/s")
+    b: Scalar = parameter(default=3.0, lower=-9.0, upper=9.0, unit="-")
+    tau: Scalar = parameter(default=0.08, lower=0.0, upper=0.25, unit="s")
+    relation: ClassVar[tuple[str, float]] = ("tau", 0.08)
+
+    def A(self):
+        return [[self.a]]
+
+    def B(self):
+        return [[self.b]]
+
+    def delays(self):
+        return {"u": self.tau}
+
+    def constraints(self):
+        name, value = self.relation
+        return [Constraint(name, 5.0 * getattr(self, name), 5.0 * value, 5.0 * value)]
+
+
+class TiedElsewhere(Tied):
+    """The same, and the relation is of another parameter."""
+
+    relation = ("b", 3.0)
+
+
+@pytest.mark.parametrize(("model", "ties"), [(Tied(), 0.0), (TiedElsewhere(), 0.7)])
+def test_what_the_end_of_a_stretch_bears_beside_a_tie_is_the_ties(model, ties):
+    # A whole sample holds tau twice: -1 and 0.7 of units of its own balance nothing but each other.
+    free, scales = free_parameters(model), np.array([2.0, 3.0, 0.01])
+    lower = free.lower.copy()
+    lower[2] = 0.08
+    unit = 5.0 * scales[2] / free.constraint_sizes[0]
+    prices = np.array([0.0, 0.0, -0.7 * unit if ties == 0.0 else -0.7]), np.array([0.7])
+    own, found = own_prices(prices, replace(free, lower=lower), free, free.guess, scales)
+    np.testing.assert_array_equal(own, 0.0)
+    np.testing.assert_allclose(found, [ties], atol=1e-12)
