@@ -75,11 +75,21 @@ class Residual:
     @cached_property
     def halves(self) -> Array:
         """Weighed derivative of the model by λ as d follows, (K, 2, ny, nf)."""
-        n = self.follow.shape[1]
-        out = np.empty((*self.factors.beside.shape[:3], n))
-        for at, rows in self.factors.portions():
-            out[at] = rows[..., :n] - rows[..., n:-1] @ self.follow
+        out = np.empty((*self.factors.beside.shape[:3], self.follow.shape[1]))
+        for at, moved in self.moved():
+            out[at] = moved
         return out
+
+    def moved(self, by: Array | None = None) -> Iterator[tuple[slice, Array]]:
+        """The same, or its product with a matrix (nf, m), one portion of the lines after the other.
+
+        Portions are (k, 2, ny, nf) or (k, 2, ny, m).
+        """
+        n = self.follow.shape[1]
+        both = np.vstack([np.eye(n), -self.follow]) @ (np.eye(n) if by is None else by)
+        for at, rows in self.factors.portions():
+            flat = rows.reshape(-1, rows.shape[3])[:, :-1] @ both
+            yield at, flat.reshape(*rows.shape[:3], -1)
 
     @property
     def ends(self) -> Array:

@@ -114,7 +114,11 @@ def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
     root = unit[:, None] * vectors / np.sqrt(values)
-    return list(on_all_cores(lambda each: _squares(each.halves @ root), residuals))
+
+    def of(residual: Residual) -> Array:
+        return np.concatenate([_squares(moved) for _, moved in residual.moved(root)])
+
+    return list(on_all_cores(of, residuals))
 
 
 def _squares(rows: Array) -> Array:
@@ -186,7 +190,7 @@ def degrees(lines: Sequence[Lines], rows: Sequence[Array], covariance: Array) ->
     """
     total, square = np.zeros(len(covariance)), np.zeros(len(covariance))
     for each, own in zip(lines, rows, strict=True):
-        moved = own @ covariance
+        moved = (own.reshape(-1, len(covariance)) @ covariance).reshape(own.shape)
         c = np.einsum("khia,khia->ka", moved, moved)
         total += c.sum(axis=0)
         square += (c**2 / each.weight[:, None]).sum(axis=0)
