@@ -11,6 +11,7 @@ from casid.matching.comparison import Comparison, Source
 from casid.matching.mismatch import DB, pair_weights
 from casid.matching.targets import in_channels
 from casid.model import Model
+from casid.nonlinear.conditions import by_condition, told_at
 
 Pair: TypeAlias = tuple[str, str]
 Pairs: TypeAlias = Sequence[Pair] | Mapping[Pair, tuple[float, float] | None]
@@ -27,16 +28,19 @@ def select(
     gamma = in_channels(model, *names, frf.coherence)
     gamma = np.where(np.isfinite(gamma), gamma, 0.0)
     known = np.isfinite(G) & (np.abs(G) > 0) & (gamma > 0)  # without coherence nothing weighs
-    if np.isnan(G).all():
-        raise ValueError(_nothing_known(model, frf))
+    conditions = by_condition(model.outputs)
+    for condition, rows in conditions.items():
+        if (np.isnan(G) | (G == 0))[:, rows].all() and (pairs is None or len(conditions) == 1):
+            raise ValueError(told_at(condition) + _nothing_known(model, frf))
     if pairs is None:
         used = known & (gamma >= coherence)
         used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))
-        if not used.any():
-            raise ValueError(
-                f"no pair has coherence >= {coherence:g} at {FEWEST} frequencies; lower the "
-                "threshold, name the pairs, or improve the response"
-            )
+        for condition, rows in conditions.items():
+            if not used[:, rows].any():
+                raise ValueError(
+                    f"{told_at(condition)}no pair has coherence >= {coherence:g} at {FEWEST} "
+                    "frequencies; lower the threshold, name the pairs, or improve the response"
+                )
     else:
         used = known & _named(model, frf, pairs, known)
     scale = [frf.input_std[frf.inputs.index(n)] if n in frf.inputs else 1.0 for n in model.inputs]
@@ -51,7 +55,7 @@ def _nothing_known(model: Model, frf: FrequencyResponse) -> str:
     """Why no pair of the model was measured, and the remedy."""
     if np.isfinite(frf.G).any() and (lacking := missing_channels(model, frf)):
         return f"no pair of the model was measured: {lacking}"
-    why = "; ".join(frf.flags) or "all are NaN"
+    why = "; ".join(frf.flags) or "all are NaN or zero"
     return (
         f"no point of the measured response is known ({why}); mend the records that it was "
         "estimated from, or ask for other frequencies"

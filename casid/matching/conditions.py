@@ -6,10 +6,12 @@ and so do the targets: one estimation of the parameters that they share.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations, product
 from typing import Any, cast
 
 from casid.estimator import Estimator
 from casid.fit import Fit
+from casid.frequency.repeated import same_numbers
 from casid.frequency.response import FrequencyResponse
 from casid.frequency.responses import side_by_side
 from casid.linear import StateSpace
@@ -36,7 +38,8 @@ def fit_at_conditions(
 
     The result's model is the nonlinear structure; unknowns of the trims stand in its table. With
     ``merged`` the estimator is given one measured response. A `DataWarning` tells of conditions far
-    from balance there. ValueError: a linear structure, a condition that is no `Trim`, none at all.
+    from balance there. ValueError: a linear structure, a condition that is no `Trim`, none at all,
+    one target for two conditions.
     """
     if not isinstance(model, NonlinearModel):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
@@ -47,6 +50,7 @@ def fit_at_conditions(
     if not conditions or not all(isinstance(each, Trim) for each in conditions):
         raise ValueError(f"conditions are {conditions}, expected {{Trim(...): target, ...}}")
     linear = model.at(*conditions)
+    _check_own(data)
     targets = [
         named(target, condition, conditions)
         for condition, given in data.items()
@@ -58,6 +62,21 @@ def fit_at_conditions(
     warn_astray(found, [each for each in conditions if not each.unknown])
     flown = joined_spans([found.reached_at(condition) for condition in conditions])
     return cast("Fit[M, Any]", replace(fit, model=found, notes=replace(fit.notes, covered=flown)))
+
+
+def _check_own(data: Mapping[Trim, Any]) -> None:
+    """ValueError for a target that stands at two conditions."""
+    for (here, own), (there, others) in combinations(data.items(), 2):
+        for one, other in product(several(own), several(others)):
+            said = "are one object" if one is other else ""
+            if isinstance(one, FrequencyResponse) and isinstance(other, FrequencyResponse):
+                said = same_numbers(one, other, every=True) or said
+            if said:
+                raise ValueError(
+                    f"the targets of conditions {here.name!r} and {there.name!r} {said}: what was "
+                    "measured at one tells nothing of the other; give each its own, or leave one "
+                    "out"
+                )
 
 
 def named(target: Target, condition: Trim, conditions: Sequence[Trim]) -> Target:

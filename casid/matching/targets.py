@@ -12,6 +12,7 @@ from casid.linear import StateSpace
 from casid.matching.comparison import Comparison, Source
 from casid.matching.mismatch import coherence_weight
 from casid.model import Model
+from casid.nonlinear.conditions import by_condition
 from casid.subspace.pbsid import BlackBox
 
 Target: TypeAlias = BlackBox | FrequencyResponse | StateSpace
@@ -98,6 +99,8 @@ def comparison_of(
             source, given = _from_system(model, item, omega, sigma), _sorted(given, omega)  # noqa: PLW2901
         else:
             source = _from_measured(model, item, omega)
+        if condition := ", ".join(by_condition(item.outputs)):
+            source = replace(source, name=f"{source.name} @{condition}")
         sources.append(_weighted(source, given, factor, input_scale, output_scale))
     _check_used(model, np.concatenate([source.W for source in sources]).max(axis=0) > 0)
     bands = np.array([(source.omega[0], source.omega[-1]) for source in sources])
@@ -211,7 +214,10 @@ def row_sizes(source: Source, input_scale: Array) -> Array:
     """Size of every output's response to inputs of typical size at each frequency, (K, ny)."""
     size = np.linalg.norm(source.G * (source.W > 0) * input_scale, axis=2)
     if not (size > 0).any():
-        raise ValueError("the target is zero on the whole grid: relative error has no meaning")
+        raise ValueError(
+            f"the target ({source.name}) is zero or unknown on the whole grid, or has coherence "
+            f"below {COHERENCE}: relative error has no meaning; mend it or leave it out"
+        )
     # A zero of the response must not make its weight infinite.
     floor = np.where(size.max(axis=0) > 0, 1e-3 * size.max(axis=0), np.inf)
     return np.asarray(np.maximum(size, floor))

@@ -119,6 +119,19 @@ def at_condition(name: str, condition: Trim, conditions: Sequence[Trim]) -> str:
     return name if len(conditions) == 1 else f"{name}@{condition.name}"
 
 
+def by_condition(names: Sequence[str]) -> dict[str, list[int]]:
+    """Places of channels by the condition in their names, "" where that is the only one."""
+    found: dict[str, list[int]] = {}
+    for place, name in enumerate(names):
+        found.setdefault(name.partition("@")[2], []).append(place)
+    return found
+
+
+def told_at(condition: str) -> str:
+    """How messages about one of several conditions begin; "" without a name."""
+    return f"condition {condition!r}: " * bool(condition)
+
+
 @lru_cache(maxsize=64)
 def _class(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> type[Model]:
     """The class of linear structures of an airframe at flight conditions."""

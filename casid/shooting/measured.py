@@ -27,7 +27,8 @@ from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
 from casid.fit import AnyFit, Fit
 from casid.free import Free
-from casid.frequency.covariance import LEAST, steadied, whitener
+from casid.frequency.covariance import steadied, whitener
+from casid.frequency.repeated import same_numbers
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.record import Record
@@ -37,8 +38,6 @@ REACH = 0.35  # of the smoothing [nepers of frequency]
 SURE = 4.0  # standard errors of a mean power above one that noise does not explain
 ROUNDS = 4  # of estimates, each weighed by the residuals of the last
 FAR = 3.0  # stated errors that half of a pair's points are off, above which that is told
-NEARBY = 1e-3  # of a frequency, that rounding makes of it
-TOO_CLOSE, FEWEST = 0.1, 3  # stated errors between so many points, for two measurements
 ALIKE = 0.2  # change of a weight's logarithm that makes no other estimate
 
 
@@ -273,32 +272,6 @@ def check_responses(
                 )
             own |= dict.fromkeys(prints, name)
         seen |= own
-    same = (_same_numbers(*two) for two in combinations(responses, 2))
+    same = (same_numbers(*two) for two in combinations(responses, 2))
     if said := next(filter(None, same), ""):
         raise ValueError(f"two responses {said}: no datum counts twice; leave one out")
-
-
-def _same_numbers(one: FrequencyResponse, other: FrequencyResponse) -> str:
-    """What says that two responses hold the same points, in words; "" without such.
-
-    Copies may be rounded. Those of known flights, which are others, may state the same leakage.
-    """
-    known = one.flights() and other.flights()
-    place = np.abs(other.omega - one.omega[:, None]).argmin(axis=1)
-    close = np.abs(other.omega[place] - one.omega) <= NEARBY * one.omega
-    for output in (name for name in one.outputs if name in other.outputs):
-        for inp in (name for name in one.inputs if name in other.inputs):
-            i, j = one.index(output, inp), other.index(output, inp)
-            a, b = one.G[:, *i], other.G[place, *j]
-            if ((a == b) & (one.omega == other.omega[place])).any():
-                return f"have the same numbers of {output} after {inp}"
-            size = np.maximum(np.hypot(one.error[:, *i], other.error[place, *j]), LEAST) * abs(a)
-            off = np.abs(a - b)[close] / np.where(size > 0, size, np.nan)[close]
-            off = off[np.isfinite(off)]
-            apart = np.sqrt(np.mean(off**2)) if len(off) >= FEWEST else np.inf
-            if apart < TOO_CLOSE and not known:
-                return (
-                    f"agree in {output} after {inp} within {apart:.2g} of the errors that they "
-                    "state, as one does with its numbers rounded (or errors are stated too large)"
-                )
-    return ""

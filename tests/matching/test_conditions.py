@@ -98,3 +98,44 @@ def test_a_trim_that_does_not_exist_is_named_with_what_keeps_it_from_balance():
     with pytest.raises(ConvergenceError, match=r"'60 kn': dq/dt\" is 139.*another") as told:
         match(model, {trim: TRUTH.at(CONDITIONS[1]).system()}, fixed={"M", "Mlon"}, bounds=bounds)
     assert not told.value.best.success
+
+
+@pytest.mark.parametrize("estimate", [match, derivid])
+def test_one_response_for_two_conditions_is_refused_with_both(estimate):
+    measured = responses(np.geomspace(0.5, 10, 25))
+    rounded = replace(measured[CONDITIONS[0]], G=measured[CONDITIONS[0]].G * (1 + 1e-4))
+    for copy in (measured[CONDITIONS[0]], rounded):
+        with pytest.raises(ValueError, match=r"conditions '0' and '1\.1' .* give each its own"):
+            estimate(Swing(), {**measured, CONDITIONS[2]: copy})
+
+
+def test_one_system_for_two_conditions_is_refused():
+    system = TRUTH.at(CONDITIONS[0]).system()
+    with pytest.raises(ValueError, match=r"conditions '0' and '0\.5' are one object"):
+        match(Swing(), dict.fromkeys(CONDITIONS[:2], system))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda one: {"G": np.full_like(one.G, np.nan)}, "NaN or zero"),
+        (lambda one: {"G": 0 * one.G}, "NaN or zero"),
+        (lambda one: {"coherence": np.full(one.G.shape, 0.1)}, "no pair has coherence"),
+    ],
+    ids=["unknown", "zero", "incoherent"],
+)
+def test_a_condition_of_which_nothing_counts_is_refused_by_name(change, why):
+    measured = responses(np.geomspace(0.5, 10, 25))
+    measured[CONDITIONS[1]] = replace(measured[CONDITIONS[1]], **change(measured[CONDITIONS[1]]))
+    with pytest.raises(ValueError, match=rf"condition '0\.5': .*{why}"):
+        derivid(Swing(), measured, starts=1)
+    with pytest.raises(ValueError, match=r"target \(measured @0\.5\) is zero or unknown"):
+        match(Swing(), measured)
+
+
+def test_what_targets_contribute_is_told_by_condition():
+    targets = {CONDITIONS[0]: TRUTH.at(CONDITIONS[0]).system()}
+    targets |= dict([list(responses(np.geomspace(0.5, 10, 25)).items())[1]])
+    fit = match(Swing(), targets, norm="quadratic")
+    assert [row.name for row in fit.notes.sources] == ["state space @0", "measured @0.5"]
+    assert fit.certificate.at_points == ("measured @0.5",)
