@@ -29,11 +29,13 @@ from casid.fit import AnyFit, Fit
 from casid.free import free_parameters, violated
 from casid.frequency.covariance import whitener
 from casid.frequency.response import FrequencyResponse
+from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.programme import Optimum
-from casid.model import Bounds, M, Priors
+from casid.matching.targets import Target
+from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
 from casid.records import several
@@ -99,7 +101,7 @@ class Derivid:
         frf = _one_response(data)
         free = free_parameters(model, fixed, bounds, self.priors)
         measured = thin(frf if self.band is None else frf.between(*self.band), self.n_omega)
-        problem = Condensed.of(free, select(model, measured, self.pairs, self.coherence))
+        problem = Condensed.of(free, self._compare(model, [measured]))
         check_effects(problem, missing_channels(model, measured))
         starts = self.starts if near is None else min(2, self.starts)
         found = descents(problem, starts, self.seed)
@@ -128,7 +130,11 @@ class Derivid:
             for trim, one in ((trim, _one_response(each)) for trim, each in data.items())
         }
         everything = replace(self, n_omega=sum(len(each.omega) for each in own.values()) ** 2)
-        return fit_at_conditions(everything, model, own, fixed, bounds, merged=True)
+        return fit_at_conditions(everything, model, own, fixed, bounds, self._compare, merged=True)
+
+    def _compare(self, model: Model, data: Sequence[Target]) -> Comparison:
+        """The one response in the model's channels, weighted."""
+        return select(model, _one_response(data), self.pairs, self.coherence)
 
 
 def derivid(
@@ -178,7 +184,7 @@ def derivid(
     return estimator.fit(model, target, fixed=fixed, bounds=bounds)
 
 
-def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> FrequencyResponse:
+def _one_response(data: Target | Sequence[Target]) -> FrequencyResponse:
     """The one response of the data; ValueError for several, or something else."""
     given = several(data)
     if len(given) != 1:

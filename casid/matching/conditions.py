@@ -4,19 +4,25 @@ Its linear structures stand side by side (`NonlinearModel.at`), each with channe
 and so do the targets: one estimation of the parameters that they share.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 from typing import Any, cast
 
+import numpy as np
+
+from casid.errors import warn
 from casid.estimator import Estimator
 from casid.fit import Fit
+from casid.free import free_parameters
 from casid.frequency.repeated import same_numbers
 from casid.frequency.response import FrequencyResponse
 from casid.frequency.responses import side_by_side
 from casid.linear import StateSpace
+from casid.matching.comparison import Comparison
+from casid.matching.discord import discord
 from casid.matching.targets import Target
-from casid.model import Bounds, M
+from casid.model import Bounds, M, Model
 from casid.nonlinear.conditions import Trim, at_condition
 from casid.nonlinear.coverage import joined_spans
 from casid.nonlinear.model import NonlinearModel
@@ -31,15 +37,17 @@ def fit_at_conditions(
     data: Mapping[Trim, Any],
     fixed: Collection[str],
     bounds: Bounds | None,
+    compared: Callable[[Model, Sequence[Target]], Comparison],
     *,
     merged: bool = False,
 ) -> Fit[M, Any]:
     """Estimate a nonlinear structure from targets at flight conditions, ``{trim: target, ...}``.
 
     The result's model is the nonlinear structure; unknowns of the trims stand in its table. With
-    ``merged`` the estimator is given one measured response. A `DataWarning` tells of conditions far
-    from balance there. ValueError: a linear structure, a condition that is no `Trim`, none at all,
-    one target for two conditions.
+    ``merged`` the estimator is given one measured response; ``compared`` tells which points it
+    uses. A `DataWarning` tells of conditions far from balance there, another of measured responses
+    that contradict each other. ValueError: a linear structure, a condition that is no `Trim`, none
+    at all, one target for two conditions.
     """
     if not isinstance(model, NonlinearModel):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
@@ -56,8 +64,12 @@ def fit_at_conditions(
         for condition, given in data.items()
         for target in several(given)
     ]
-    chosen: Any = side_by_side(cast("list[FrequencyResponse]", targets)) if merged else targets
+    chosen = [side_by_side(cast("list[FrequencyResponse]", targets))] if merged else targets
     fit = estimator.fit(linear, chosen, fixed=fixed, bounds=bounds)
+    free = free_parameters(fit.model, fixed, bounds)
+    active = np.array([fit.parameters[i].active for i in free.index], dtype=bool)
+    if said := discord(free, active, compared(linear, chosen), targets):
+        warn(f"{fit.method}: {said}")
     found = model.with_values_of(fit.model)
     warn_astray(found, [each for each in conditions if not each.unknown])
     flown = joined_spans([found.reached_at(condition) for condition in conditions])

@@ -101,7 +101,7 @@ class Match:
     ) -> Fit[M, MatchNotes]:
         """The parameters with which a structure comes nearest to targets; see `match`."""
         if isinstance(data, Mapping):
-            return fit_at_conditions(self, model, data, fixed, bounds)
+            return fit_at_conditions(self, model, data, fixed, bounds, self._compare)
         begin = time.perf_counter()
         free = free_parameters(model, fixed, bounds, self.priors)
         search = self._search(free, several(data))

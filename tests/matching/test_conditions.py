@@ -59,6 +59,7 @@ def test_conditions_tell_what_none_of_them_tells_alone():
     same(match(Swing(), targets, norm="quadratic"))
 
 
+@pytest.mark.filterwarnings("ignore:.* contradict each other")
 @pytest.mark.parametrize("estimate", [partial(match, norm="quadratic"), partial(derivid, starts=1)])
 def test_a_condition_whose_values_contradict_the_estimate_is_told(estimate):
     measured = responses(np.geomspace(0.5, 10, 25))

@@ -1,0 +1,141 @@
+"""Measured responses of flight conditions that contradict each other, as of a wrong airspeed.
+
+At the estimate of all conditions, each one's residuals r and derivatives J by the free parameters,
+made independent and of unit variance by the stated errors, tell to first order what is left of them
+if the conditions share a step of the parameters, r' = r + J d, and if each has its own,
+r' − J (J⁺ r'). A structure that lacks something misses as much with a step of each condition's own;
+where one of its own explains most of what exceeds the errors the conditions are not of one aircraft
+as the structure has it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.display import listed
+from casid.estimates import holding
+from casid.evaluation import Matrices, MatrixFunction
+from casid.free import Free
+from casid.frequency.covariance import steadied, whitener
+from casid.frequency.response import FrequencyResponse
+from casid.matching.comparison import Comparison, Source
+from casid.matching.targets import Target
+from casid.model import Model
+from casid.nonlinear.conditions import by_condition
+
+FAR = 3.0  # times the stated variance that is told
+MOST = 0.5  # of what is left of a condition's squares, that a step of its own explains
+SELDOM = 1e-6  # chance by which a step explains as much of residuals that no step explains
+NOTHING = 1e-8  # of the largest singular value, all parameters moving a response alike
+
+WHY = (
+    "most of which parameters of its own would explain: the conditions contradict each other, and "
+    "the estimate is between them. Look for values of a condition, as its airspeed, the response "
+    "of another one, units, parameters that change with the condition and have no schedule in the "
+    "structure, or what it misses, which they may show differently; leave one out and compare"
+)
+
+
+def discord(
+    free: Free, active: BoolArray, comparison: Comparison, targets: Sequence[Target]
+) -> str:
+    """What says that measured responses of conditions contradict each other; "" without such.
+
+    Parameters
+    ----------
+    free : Free
+        Its guess is the estimate; ``active`` (nf,) are those that bounds hold.
+    comparison : Comparison
+        What was fitted: points of no weight say nothing, nor do those without stated errors.
+    targets : sequence
+        Those of its sources, or those put together in its one source, each of one condition. Black
+        boxes among them say nothing.
+    """
+    merged = len(comparison.sources) < len(targets)
+    sources = comparison.sources * len(targets) if merged else comparison.sources
+    measured = [
+        (next(iter(by_condition(target.outputs))), target, source)
+        for target, source in zip(targets, sources, strict=True)
+        if isinstance(target, FrequencyResponse)
+    ]
+    if len({condition for condition, *_ in measured}) < 2:
+        return ""
+    values, scale = free.guess, free.scale[free.index]
+    rows = holding(free, values, active) * scale
+    room = scale[:, None] * (scipy.linalg.null_space(rows) if len(rows) else np.eye(len(scale)))
+    matrices = MatrixFunction(free)(values)
+    parts: dict[str, list[tuple[Array, Array]]] = {}
+    for condition, target, source in measured:
+        if (found := _residuals(free.model, matrices, target, source)) is not None:
+            parts.setdefault(condition, []).append((found[0], found[1] @ room))
+    if len(parts) < 2:
+        return ""
+    own = {
+        condition: (np.concatenate([r for r, _ in each]), np.vstack([J for _, J in each]))
+        for condition, each in parts.items()
+    }
+    all_r, all_J = (np.concatenate(each) for each in zip(*own.values(), strict=True))
+    size = np.linalg.norm(all_J, axis=0)
+    unit = np.where(size > 0, size, 1.0)
+    shared = np.linalg.lstsq(all_J / unit, -all_r, rcond=NOTHING)[0] / unit
+    far = []
+    for condition, (r, J) in own.items():
+        left = r + J @ shared
+        if _explains(J / unit, left) and r @ r > FAR * len(r):
+            far.append((float(np.sqrt(r @ r / len(r))), condition))
+    if not far:
+        return ""
+    told = [f"{name!r} {size:.2g}" for size, name in sorted(far, reverse=True)]
+    return f"responses are off at conditions {listed(told)} times as far as stated, {WHY}"
+
+
+def _explains(J: Array, left: Array) -> bool:
+    """Whether a step explains most of residuals that exceed their errors by far."""
+    U, found, _ = np.linalg.svd(J, full_matrices=False)
+    U = U[:, found > NOTHING * found.max(initial=0.0)]
+    rank, rest = U.shape[1], len(left) - U.shape[1]
+    total, gain = float(left @ left), float(np.sum((U.T @ left) ** 2))
+    if not rank or rest < 1 or total < FAR * len(left) or gain < MOST * total:
+        return False
+    ratio = gain / rank / max((total - gain) / rest, np.finfo(float).tiny)
+    return bool(fdtrc(rank, rest, ratio) < SELDOM)
+
+
+def _residuals(
+    model: Model, matrices: Matrices, target: FrequencyResponse, source: Source
+) -> tuple[Array, Array] | None:
+    """A target's residuals (m,), independent, and derivatives (m, nf); None without errors."""
+    measured = steadied(target).take(np.flatnonzero(np.isin(target.omega, source.omega)))
+    outputs = [name for name in measured.outputs if name in model.outputs]
+    inputs = [name for name in measured.inputs if name in model.inputs]
+    every = np.arange(len(measured.omega))
+    place = np.ix_(every, *_places(measured, outputs, inputs))
+    own = _places(model, outputs, inputs)
+    at = np.searchsorted(source.omega, measured.omega)
+    used, off = np.zeros(measured.G.shape, dtype=bool), np.zeros(measured.G.shape, dtype=complex)
+    used[place] = source.W[np.ix_(at, *own)] > 0
+    try:
+        white = whitener(measured, used)
+    except ValueError:  # none of these points states an error
+        return None
+    G, slopes = matrices.response_slopes(1j * measured.omega)
+    by_lam = np.zeros((*off.shape, len(slopes)), dtype=complex)
+    misses: ComplexArray = G[np.ix_(every, *own)] - source.G[np.ix_(at, *own)]
+    off[place] = misses
+    by_lam[place] = np.moveaxis(slopes, 0, -1)[np.ix_(every, *own)]
+    r, J = white(off), white(by_lam)
+    return np.concatenate([r.real, r.imag]), np.vstack([J.real, J.imag])
+
+
+def _places(
+    of: FrequencyResponse | Model, outputs: Sequence[str], inputs: Sequence[str]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Positions of channels in a response or a structure."""
+    return (
+        np.array([of.outputs.index(name) for name in outputs], dtype=np.intp),
+        np.array([of.inputs.index(name) for name in inputs], dtype=np.intp),
+    )
