@@ -14,7 +14,7 @@ enters linearly and is eliminated (variable projection: Golub and Pereyra 1973).
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from casid.free import Free
 from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slopes
 from casid.shooting.delayed import LATE
 from casid.shooting.lines import Lines, held_lines
-from casid.threads import on_all_cores
 
 PORTION = 200  # lines whose derivatives are held at once, in the processor's cache
 RANK = 1e-13  # eigenvalue of the transient's information, to unit diagonal, that counts as zero
@@ -118,22 +117,17 @@ class SpectralResiduals:
         direct = _direct(m)
         driven: dict[tuple[float, ...], tuple[Array, Array]] = {}
         resolvents: dict[tuple[float, ...], ComplexArray] = {}
-        tasks = []
-        for lines, weight, (S, rest) in zip(
-            self.lines, weights, on_all_cores(partial(self._signals, m), self.lines), strict=True
-        ):
+        found = []
+        for lines, weight in zip(self.lines, weights, strict=True):
             order, h, N = ORDER[lines.record.hold], lines.dt, lines.record.N
+            S, rest = held_lines(self._held(lines, m), N, len(lines.z))
             key, at = (order, h, *np.round(rest, 12)), (h, N, len(lines.z))
             if key not in driven:
                 driven[key] = _driven(m, h, rest, order)
             if at not in resolvents:
                 resolvents[at] = _resolvent(lines.z, driven[key][0][:, : m.nx])
-            tasks.append((lines, weight, S, m, driven[key], direct, resolvents[at]))
-        return list(on_all_cores(lambda task: _residual(*task), tasks))
-
-    def _signals(self, m: Matrices, lines: Lines) -> tuple[ComplexArray, Array]:
-        """What drives one record on its lines, (K, 3 nu), and the rests of its breaks."""
-        return held_lines(self._held(lines, m), lines.record.N, len(lines.z))
+            found.append(_residual(lines, weight, S, m, driven[key], direct, resolvents[at]))
+        return found
 
     def _held(self, lines: Lines, m: Matrices) -> DelayedInput:
         """Delayed inputs of one record; a delay on its bound 0 counts as one to come."""

@@ -17,7 +17,6 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import Residual, halves
-from casid.threads import on_all_cores
 from casid.values import seal, storable
 
 REACH = 0.35  # of the smoothing [nepers of frequency]
@@ -114,11 +113,9 @@ def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
     root = unit[:, None] * vectors / np.sqrt(values)
-
-    def of(residual: Residual) -> Array:
-        return np.concatenate([_squares(moved) for _, moved in residual.moved(root)])
-
-    return list(on_all_cores(of, residuals))
+    return [
+        np.concatenate([_squares(moved) for _, moved in each.moved(root)]) for each in residuals
+    ]
 
 
 def _squares(rows: Array) -> Array:
