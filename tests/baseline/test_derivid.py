@@ -170,7 +170,7 @@ def test_cramer_rao_and_insensitivity_come_from_the_hessian_of_the_cost():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("error", [0.003, 0.03])
+@pytest.mark.parametrize("error", [pytest.param(0.003, marks=pytest.mark.campaign), 0.03])
 def test_errors_are_those_of_repeated_measurements(error):
     rng = np.random.default_rng(4)
     fits = [derivid(Roll(), response(TRUTH, error=error, rng=rng), starts=1) for _ in range(40)]

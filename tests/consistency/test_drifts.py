@@ -115,7 +115,7 @@ def seen_without(record, lost, name=None):
 
 
 @pytest.mark.parametrize("lost", [(15.0, 19.0), (24.0, 27.0)])
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.campaign)])
 @pytest.mark.slow
 def test_a_drift_is_told_across_a_gap_as_well_as_without(seed, lost):
     whole = drifting(seed, dict.fromkeys(ATTITUDES, 1e-3), begin=0.05)

@@ -108,7 +108,12 @@ def test_forty_campaigns_of_good_instruments_hardly_raise_an_alarm(spoil):
 @pytest.mark.slow
 @pytest.mark.parametrize("regime", campaigns(["slow", "cruise"], ["cruise"]))
 @pytest.mark.parametrize(
-    ("unit", "size"), [("ft/s", 0.3048), ("knots", 0.514444), ("km/h", 1 / 3.6)]
+    ("unit", "size"),
+    [
+        pytest.param("ft/s", 0.3048, marks=pytest.mark.campaign),
+        pytest.param("knots", 0.514444, marks=pytest.mark.campaign),
+        ("km/h", 1 / 3.6),
+    ],
 )
 def test_velocities_of_another_unit_are_told_and_nothing_else(unit, size, regime):
     records = flown(110, regime, count=2)
