@@ -5,6 +5,8 @@ solution; the entries of M are variables then. States that nothing couples to th
 equation and an M of their own.
 """
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import scipy
@@ -108,7 +110,13 @@ def _coupled(A: ca.SX) -> list[list[int]]:
 def _factor(F: Array) -> tuple[Array, Array, Array]:
     """Start, lower and upper bounds of the entries of M, column by column."""
     nx = len(F)
-    M = np.linalg.cholesky(scipy.linalg.solve_continuous_lyapunov(F, -np.eye(nx)))
+    with warnings.catch_warnings():  # a start need not be exact, where values ran far away
+        warnings.simplefilter("ignore", RuntimeWarning)
+        P = scipy.linalg.solve_continuous_lyapunov(F, -np.eye(nx))
+    try:
+        M = np.linalg.cholesky(P)
+    except np.linalg.LinAlgError:
+        M = np.eye(nx)
     column, row = np.triu_indices(nx)
     lower = np.where(row == column, 0.0, -LIMIT)
     return M[row, column], lower, np.full(len(lower), LIMIT)

@@ -8,7 +8,7 @@ from truths.swing import Swing
 from casid import Constraint, Scalar, Trim, parameter
 from casid.evaluation import MatrixFunction
 from casid.free import free_parameters
-from casid.matching.side import SideConstraints
+from casid.matching.side import SideConstraints, _factor
 from casid.matching.targets import comparison_of
 
 
@@ -60,3 +60,13 @@ def test_conditions_that_nothing_couples_have_lyapunov_equations_of_their_own():
     assert len(side.start[0]) == 3 * 3  # of 6 * 7 / 2
     assert side.count == 3 * 3
     np.testing.assert_allclose(residual, 0.0, atol=1e-9)
+
+
+def test_values_that_ran_far_away_still_have_a_start():
+    # Poles at -0.1 ± 1e7 j: by their size on the line, where Lyapunov's equation has no solution.
+    far = np.array([[-1.2, 0.0, 1e-4], [0.0, -0.1, -6.9], [-540.0, 2.5e13, -0.1]])
+    for F in (far, -np.eye(3)):
+        M, lower, upper = _factor(F)
+        assert np.isfinite(M).all()
+        assert len(M) == len(lower) == len(upper) == 6
+    np.testing.assert_allclose(_factor(-np.eye(2))[0], [np.sqrt(0.5), 0.0, np.sqrt(0.5)])
