@@ -47,3 +47,10 @@ def test_zeros_and_what_was_not_measured_are_no_same_numbers():
         both = replace(one, G=G[0]), replace(other, G=G[1])
         assert same_numbers(*both) == same_numbers(*both, every=True) == ""
         assert "w after lon" in same_numbers(both[0], both[0], every=True)
+
+
+def test_numbers_rounded_with_their_frequencies_are_the_same():
+    one = measured(1)
+    rounded = [float(f"{omega:.4g}") for omega in OMEGA]
+    copy = replace(one, omega=np.array(rounded), G=np.round(one.G, 4))
+    assert "as one does with its numbers rounded" in same_numbers(one, copy)

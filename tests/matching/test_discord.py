@@ -9,6 +9,10 @@ import pytest
 from truths.swing import Swing
 
 from casid import DataWarning, FrequencyResponse, Trim, derivid, match
+from casid.free import free_parameters
+from casid.matching.conditions import named
+from casid.matching.discord import _explains, discord
+from casid.matching.targets import comparison_of
 
 M, MLON, MQ, TAU, ERROR = 6.0, 8.0, -0.8, 0.05, 0.03
 THETAS = 0.0, 0.6, 1.1
@@ -118,3 +122,31 @@ def test_one_condition_alone_contradicts_nothing():
     (one,) = measured(0, THETAS[:1])
     other = replace(one, G=one.G * (1 + 0.3j))
     match(Swing(), {trim(0.0, "a"): [one, other]}, norm="quadratic")
+
+
+@pytest.mark.parametrize(
+    ("points", "share", "explained"), [(200, 0.9, True), (200, 0.4, False), (4, 0.9, False)]
+)
+def test_a_step_explains_what_chance_and_the_structure_do_not(points, share, explained):
+    # Two parameters; the share of the squares in their span, five stated errors off a point.
+    # 0.4 is no chance either (F = 66) but not most of them, 0.9 of four points may be chance.
+    rng = np.random.default_rng(1)
+    J, rest = np.split(np.linalg.qr(rng.standard_normal((points, 4)))[0], 2, axis=1)
+    left = 5 * np.sqrt(points) * (np.sqrt(share) * J[:, 0] + np.sqrt(1 - share) * rest[:, 0])
+    assert _explains(J, left) == explained
+
+
+def test_a_step_that_all_conditions_share_contradicts_nothing():
+    # Responses without noise, and an estimate that is 3 % off for all of them alike.
+    responses = []
+    for theta, each in zip(THETAS, measured(0), strict=True):
+        G = response((MQ, M, MLON, TAU), theta, each.omega)
+        responses.append(replace(each, G=G, random_error=np.full(G.shape, 0.005)))
+    conditions = flown(responses)
+    linear = Swing().at(*conditions)
+    targets = [named(each, trim_, [*conditions]) for trim_, each in conditions.items()]
+    values = {"M": M, "Mlon": 1.03 * MLON, "Mq": MQ, "tau": TAU}
+    at = linear.with_vector(np.array([values[name] for name in linear.parameter_names()]))
+    free = free_parameters(at)
+    active = np.zeros(len(free.index), dtype=bool)
+    assert not discord(free, active, comparison_of(at, targets, weight="size"), targets)

@@ -101,3 +101,11 @@ def test_what_is_off_at_some_points_is_no_error_of_all():
 
 def test_few_points_that_many_parameters_take_tell_nothing():
     assert misstated(np.full(3, 1e-6), 3.0, 6.0) == 1
+
+
+def test_what_one_source_alone_tells_contradicts_nothing():
+    F1, F2 = np.diag([1.0, 2.0, 3.0, 4.0]), np.diag([2.0, 0.0, 1.0, 0.0])
+    source, P, _ = joint(*RNG.standard_normal((2, NF)), F1, F2)
+    found = disagreement(source, P, P)
+    assert found.freedom == 2
+    assert np.isfinite(found.square)

@@ -240,6 +240,15 @@ def test_errors_stated_in_other_units_or_too_small_are_told(domain):
 
 @pytest.mark.second
 @pytest.mark.filterwarnings("error::casid.DataWarning")
+def test_errors_of_a_flight_of_its_own_may_be_the_most_that_leakage_makes():
+    loose = measured()
+    flown = {"records": ("sweep",), "fingerprints": (("another flight",),)}
+    loose = replace(loose, random_error=100 * loose.random_error, **flown)
+    output_error(TRUTH, RECORDS, responses=loose)
+
+
+@pytest.mark.second
+@pytest.mark.filterwarnings("error::casid.DataWarning")
 def test_a_response_of_correlated_errors_contradicts_nothing():
     rng, rho = np.random.default_rng(4), np.exp(-((OMEGA - OMEGA[:, None]) ** 2) / (4 * 0.5**2))
     L, G = np.linalg.cholesky(rho + 1e-10 * np.eye(20)), TRUTH.system().response(OMEGA)
