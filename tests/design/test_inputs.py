@@ -274,6 +274,23 @@ def test_a_nonlinear_structure_is_designed_for_by_its_linearisation_at_the_trim(
     assert by_hand.warning() == ""
 
 
+@pytest.mark.second
+def test_what_is_known_from_before_only_keeps_its_error_where_the_linearisation_feels_nothing():
+    flight = swung(Pendulum()).record()
+    rng = np.random.default_rng(2)
+    noisy = replace(flight, y=flight.y + 0.01 * rng.standard_normal(flight.y.shape))
+    fit = output_error(Pendulum(), noisy)
+    unknown = Trim(values={"theta": 0.3, "m": 2 * np.sin(0.3)}, unknown=("m",))
+    limits = Limits(sticks={"m": 0.2}, responses={"theta": 0.2})
+    settings = DesignSettings(**QUICK, method="steps")
+    made = design_inputs(fit, limits, 10.0, settings=settings, trim=unknown)
+    row = made.names.index("drift")
+    assert "drift" in made.unfelt
+    assert "drift" not in made.untold
+    assert made.before[row] == pytest.approx(fit["drift"].std_error)
+    assert 0 < made.std_errors[row] <= made.before[row]
+
+
 def test_a_nonlinear_structure_has_to_be_in_balance_and_a_linear_one_has_its_trim():
     with pytest.raises(ValueError, match=r"not in balance.*d/dt q = -0\.435.*find_trim"):
         swung(Pendulum(m0=1.0))
