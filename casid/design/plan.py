@@ -136,7 +136,8 @@ class Design(Shown):
             return f"{in_minutes(self.t[-1])} of flight for what no time of 3-2-1-1 tells"
         if not self.instead > self.t[-1]:
             return ""
-        return f"{in_minutes(self.t[-1])} of flight instead of {in_minutes(self.instead)}"
+        own, other = in_minutes(float(self.t[-1])), in_minutes(self.instead)
+        return f"{own} of flight instead of {other}" if own != other else ""
 
     def warning(self) -> str:
         """For how many plausible aircraft limits, and for what motions errors do not hold."""

@@ -65,6 +65,7 @@ def test_what_is_no_better_than_the_3211_is_not_recommended(design):
     assert "of flight" not in same.headline()
     assert "no better" not in design.headline()
     assert "instead" not in replace(design, instead=1.0).headline()  # no gain in time
+    assert "instead" not in replace(design, instead=2.901).headline()  # the same as they are told
 
 
 def test_what_matters_is_what_is_compared(design):
