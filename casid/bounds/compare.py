@@ -6,7 +6,7 @@ relaxing, and predict by how much the cost would fall.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from casid.errors import warn
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job
+from casid.jobs.store import Done
 from casid.model import Bounds, Model
 from casid.nonlinear.balance import unbalanced
 from casid.nonlinear.conditions import Trim
@@ -153,7 +154,8 @@ def compare_bounds(
         Unseen records to judge every case by.
     start : Model or Fit
         Where the freest case starts, e.g. ``match(...)``; the guess unless given. Every other case
-        starts from the fit of a case that contains it.
+        starts from the fit of a case that contains it, and one that a case within it beats starts
+        from there once more: it had ended in another minimum.
     execution : Execution
         Where cases run and are kept.
 
@@ -170,7 +172,7 @@ def compare_bounds(
     fits = Fits(model, data, estimator, fixed, bounds, execution)
     read = fits.cases(cases)
     jobs = _jobs(read, fits, start)
-    done = fits.run(jobs)
+    done = _from_each_other(read, fits, fits.run(jobs))
     good = {case.name: done[case.name].result for case in read if not done[case.name].reason}
     freest, judged = jobs[0].name, None
     if good and (unseen := several(validation)):
@@ -180,7 +182,7 @@ def compare_bounds(
     results = tuple(
         price_case(case, done[case.name], base, fits.data, judged, trim) for case in read
     )
-    _warn_of_minima(results, freest)
+    _warn_of_minima(results, read, base[0])
     _warn_of_narrowness(base, fits.cases({freest: {}})[0])
     return BoundsComparison(
         cases=results,
@@ -224,14 +226,50 @@ def _jobs(cases: Sequence[Case], fits: Fits, start: Model | AnyFit | None) -> li
     return jobs
 
 
-def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
+def _from_each_other(
+    cases: Sequence[Case], fits: Fits, done: Mapping[str, Done]
+) -> dict[str, Done]:
+    """Fits of cases, anew from one that lies within and costs less; then all within what is found.
+
+    Of each case that which costs least remains.
+    """
+    best, tried, found = dict(done), set[tuple[str, str]](), set[str]()
+    while True:
+        cost = {name: np.inf if each.reason else each.result.cost for name, each in best.items()}
+        starts: dict[str, str] = {}
+        jobs: list[Job] = []
+        for case in cases:
+            others = [o for o in cases if o is not case and (case.name, o.name) not in tried]
+            inside = (o.name for o in others if o.within(case))
+            near = [name for name in inside if _less(cost[name], cost[case.name])]
+            near = near or [o.name for o in others if o.name in found and case.within(o)]
+            if near:
+                start = starts[case.name] = min(near, key=cost.__getitem__)
+                name = f"{case.name}, from {start}"
+                jobs.append(fits.job(case, best[start].result, name=name))
+        if not jobs:
+            return best
+        tried |= starts.items()
+        again, found = list(fits.run(jobs).values()), set()
+        for (name, start), new in zip(starts.items(), again, strict=True):
+            if not new.reason and _less(new.result.cost, cost[name]):
+                best[name] = replace(new, source=start)
+                found.add(name)
+
+
+def _less(cost: float, other: float) -> bool:
+    """Whether a cost is lower by more than two ways to one minimum differ by."""
+    return cost < other and (not np.isfinite(other) or other - cost > WORSE * (1 + abs(other)))
+
+
+def _warn_of_minima(results: Sequence[CaseResult], cases: Sequence[Case], freest: Case) -> None:
     """A case within the freest cannot fit better, unless the freest found another minimum."""
-    for case in results:
-        if case.freedom and case.increase < -WORSE * (1 + abs(case.cost)):
+    for case, allowed in zip(results, cases, strict=True):
+        if allowed.within(freest) and case.increase < -WORSE * (1 + abs(case.cost)):
             warn(
-                f"case {case.name!r} lies within {freest!r}, yet its cost is lower by "
-                f"{-case.increase:.3g}: the fit of {freest!r} is a local minimum; start it from "
-                "that case's model"
+                f"case {case.name!r} lies within {freest.name!r}, yet its cost is lower by "
+                f"{-case.increase:.3g}, and {freest.name!r} came no lower from there: increases "
+                f"count from a local minimum; start {freest.name!r} elsewhere"
             )
 
 

@@ -352,3 +352,66 @@ def test_what_all_cases_hold_is_said_to_have_no_price(recwarn):
     of(wide={"a": "< 50"}, bound={"a": "< -2"})  # the structure's own bound holds nothing
     with pytest.warns(DataWarning, match="count from 'bound'.*in which a is on bounds narrower"):
         of(bound={"a": "< -2"}, narrow={"a": "< -3"})
+
+
+class Folded(Model):
+    """Gains of p and q on an ellipse, that of r right whatever k is."""
+
+    states, inputs, outputs = ("p",), ("lat",), ("p", "q", "r")
+
+    k: Scalar = parameter(default=-1.2, lower=-3.0, upper=3.0, unit="-")
+
+    def A(self) -> Rows:
+        return [[-2]]
+
+    def B(self) -> Rows:
+        return [[1]]
+
+    def C(self) -> Rows:
+        return [[self.cosine(2.0)], [2 * self.k / (1 + self.k**2)], [1]]
+
+    def cosine(self, size):
+        return size * (1 - self.k**2) / (1 + self.k**2)
+
+
+def gains(p, q):
+    """A target of these gains, and the k on the whole ellipse that is nearest to them."""
+    names = {"inputs": ("lat",), "outputs": ("p", "q", "r")}
+    target = StateSpace([[-2.0]], [[1.0]], [[p], [q], [1.0]], np.zeros((3, 1)), **names)
+    k = np.linspace(-3.0, 3.0, 200_001)
+    off = (2 * (1 - k**2) / (1 + k**2) - p) ** 2 + (2 * k / (1 + k**2) - q) ** 2
+    return black_box(target, (0.2, 8.0)), k[off.argmin()]
+
+
+def test_no_case_ends_in_a_minimum_that_one_within_it_beats(tmp_path):
+    target, k = gains(1.0, 0.1)
+    lower, upper = {"k": (-2.5, 0.2)}, {"k": "> 0.15"}
+    settings = {
+        "cases": {"free": {}, "lower": lower, "half": {"k": (-0.9, 3.0)}, "upper": upper},
+        "estimator": MATCHED, "execution": Execution(folder=tmp_path),
+    }  # fmt: skip
+    found = compare_bounds(Folded(), target, **settings)
+    for name in ("free", "half", "upper"):
+        assert found[name].fit.model.k == pytest.approx(k, abs=1e-3)
+    assert found["lower"].fit.model.k == pytest.approx(0.2)  # from what "free" has found then
+    assert (found["free"].start, found["lower"].start) == ("upper", "free")
+    written = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert compare_bounds(Folded(), target, **settings).to_markdown() == found.to_markdown()
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
+
+
+def test_a_case_that_fails_is_fitted_from_one_within_it():
+    target, k = gains(0.5, 0.3)  # of which the lower side explains nothing
+    cases = {"free": {}, "upper": {"k": "> 0.15"}, "lower": {"k": "< -0.5"}}
+    found = compare_bounds(Folded(), target, cases=cases, estimator=MATCHED, execution=HERE)
+    assert found["free"].fit.model.k == pytest.approx(k, abs=1e-3)
+    assert "explains nothing" in found["lower"].reason
+
+
+def test_a_minimum_that_stays_local_is_told(monkeypatch):
+    monkeypatch.setattr("casid.bounds.compare._from_each_other", lambda _cases, _fits, done: done)
+    target, _ = gains(1.0, 0.1)
+    with pytest.warns(DataWarning, match="'upper' lies within 'free', yet its cost is lower by"):
+        compare_bounds(
+            Folded(), target, cases={"free": {}, "upper": {"k": "> 0.15"}}, estimator=MATCHED
+        )
