@@ -44,7 +44,7 @@ from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.stiffness import MOST
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.ways import Ways, exact_outputs, warn_of_missed
-from casid.shooting.whiteness import warn_of_colour
+from casid.shooting.whiteness import warn_of_innovations
 from casid.threads import one_thread
 
 Domain: TypeAlias = Literal["time", "frequency"]
@@ -80,8 +80,8 @@ class OutputError:
         For flight in turbulence: True estimates the filter-error model, white noise driving every
         state, independently; its densities [state²/s] come out in ``Fit.notes.process_noise``, the
         Kalman filter's gain in ``Fit.notes.K``, and R is of the measurement noise alone. "gain"
-        estimates the gain K instead, all nx ny entries freely, R being the innovations'; a black
-        box gives the gain to start that from, in the model's states; an array holds it.
+        estimates the gain K instead, all nx ny entries freely, R being the innovations', "full"
+        where one gust drives several states; a black box gives the gain to start that from, in the model's states; an array holds it.
         K [1/s times state per output] acts on an innovation held over the sampling interval.
     steps : int
         Of a nonlinear structure: Runge-Kutta steps a sampling interval, as many as needed unless
@@ -164,7 +164,7 @@ class OutputError:
         if not rough:
             warn_of_missed(outcome, self.interval)
             if outcome.programme.evaluator.filtering:
-                warn_of_colour(outcome.programme, outcome.solution.x)
+                warn_of_innovations(outcome.programme, outcome.solution.x)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:

@@ -7,10 +7,12 @@ Correlations of whitened innovations over the first lags tell, all outputs toget
     Q = Σ_m Σ_ab (Σ_i r̃_a(i) r̃_b(i + m))² / n_ab(m),
 
 which is χ² of a degree of freedom a term if they are white (J. R. M. Hosking, The multivariate
-portmanteau statistic, J. Am. Stat. Assoc. 75, 1980).
+portmanteau statistic, J. Am. Stat. Assoc. 75, 1980). So they do at m = 0, of pairs a < b, where one
+gust drives several states that a filter takes for driven independently; and the sizes of records'
+innovations, where one flew in rougher air than another that shares its process noise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -21,7 +23,8 @@ from casid.errors import warn
 from casid.shooting.programme import Programme
 
 LAGS = 10  # samples
-LEVEL = 1e-6  # of the test
+LEVEL = 1e-6  # of each test
+UNEVEN = 2.0  # times the variance of another record's innovations
 
 
 def whitened(programme: Programme, x: Array) -> list[Array]:
@@ -38,7 +41,7 @@ def whitened(programme: Programme, x: Array) -> list[Array]:
     return [white[a:b] for a, b in pairwise(edges)]
 
 
-def correlations(residuals: Sequence[Array]) -> Array:
+def correlations(residuals: Sequence[Array], lags: Iterable[int] = range(1, LAGS + 1)) -> Array:
     """Correlations (lags, ny, ny) in standard deviations of those of white noise; 0 of no pairs.
 
     Of whitened residuals (N, ny) of every record, 0 where missing.
@@ -46,27 +49,68 @@ def correlations(residuals: Sequence[Array]) -> Array:
     ny, found = residuals[0].shape[1], []
     variance = sum(np.sum(r**2, axis=0) for r in residuals)
     variance = variance / np.maximum(sum(np.sum(r != 0, axis=0) for r in residuals), 1)
-    for m in range(1, LAGS + 1):
+    for m in lags:
         products, pairs = np.zeros((ny, ny)), np.zeros((ny, ny))
         for r in residuals:
-            products += r[:-m].T @ r[m:]
-            pairs += (r[:-m] != 0).T.astype(float) @ (r[m:] != 0)
+            early, late = r[: len(r) - m], r[m:]
+            products += early.T @ late
+            pairs += (early != 0).T.astype(float) @ (late != 0)
         size = np.sqrt(np.maximum(pairs, 1) * np.outer(variance, variance))
         found.append(products / np.where(size > 0, size, 1.0))
     return np.array(found)
 
 
-def warn_of_colour(programme: Programme, x: Array) -> None:
-    """Tell of a filter whose innovations are not white, at scaled variables x."""
-    found = correlations(whitened(programme, x))
+def warn_of_innovations(programme: Programme, x: Array) -> None:
+    """Tell of a filter whose innovations are not what it takes them for, at scaled variables x."""
+    residuals, names = whitened(programme, x), programme.free.model.outputs
+    said = [
+        _coloured(correlations(residuals), names),
+        _together(correlations(residuals, [0])[0], names),
+        _uneven(residuals, [record.name for record in programme.evaluator.layout.records]),
+    ]
+    for each in filter(None, said):
+        warn(f"filter error: {each}")
+
+
+def _coloured(found: Array, names: Sequence[str]) -> str:
     square = found**2
     if square.sum() < chdtri(found.size, LEVEL):
-        return
-    names = programme.free.model.outputs
+        return ""
     most = names[int(np.argmax(square.sum(axis=(0, 2)) + square.sum(axis=(0, 1))))]
-    warn(
-        f"filter error: innovations are correlated in time ({most} most), so that what drives the "
+    return (
+        f"innovations are correlated in time ({most} most), so that what drives the "
         "states is not the white noise that it is taken for: gusts of seconds are not, nor is what "
         "the structure misses. Derivatives may be several of their standard errors off: give gusts "
         "a state of their own in the structure, or the structure what it lacks"
+    )
+
+
+def _together(found: Array, names: Sequence[str]) -> str:
+    """Of correlations (ny, ny) at one instant."""
+    pairs = np.triu(found, 1)
+    if (pairs**2).sum() < chdtri(max(pairs.size - len(pairs), 2) / 2, LEVEL):
+        return ""
+    a, b = (int(k) for k in np.unravel_index(np.abs(pairs).argmax(), pairs.shape))
+    return (
+        f"innovations of {names[a]} and {names[b]} go together, {found[a, b]:+.0f} standard "
+        "deviations more than chance has it: one gust drives several states, or one noise several "
+        "outputs, which are taken for driven independently. Derivatives may be several of their "
+        'standard errors off: take process_noise="gain" with R="full", or give the gust a state of '
+        "its own in the structure"
+    )
+
+
+def _uneven(residuals: Sequence[Array], names: Sequence[str]) -> str:
+    """Of records, where one's innovations have many times the variance of another's."""
+    counts = np.array([max(np.sum(r != 0), 1) for r in residuals])
+    sizes = np.array([np.sum(r**2) for r in residuals]) / counts
+    least, most = int(sizes.argmin()), int(sizes.argmax())
+    chance = np.sqrt(2 / counts[[least, most]] * chdtri(1, LEVEL)).sum()  # of a ratio's logarithm
+    if not sizes[most] > max(UNEVEN, np.exp(chance)) * sizes[least]:
+        return ""
+    return (
+        f"innovations of {names[most]} have {sizes[most] / sizes[least]:.2g} times the variance of "
+        f"those of {names[least]}: its air was rougher, or its sensors noisier, than one process "
+        "noise and one R for all records say. The calm one counts for less than it knows, standard "
+        "errors are too small: estimate together what was flown in like air"
     )

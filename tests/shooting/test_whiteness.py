@@ -99,3 +99,59 @@ def test_gusts_of_seconds_are_told_unless_they_have_a_state_of_their_own():
         fit = output_error(Gusty(), records, process_noise=True)
     std = np.array([row.std_error for row in fit.parameters])
     assert (np.abs(fit.model.vector() - Gusty().vector()) < 4 * std).all()
+
+
+class Lags(Model):
+    """Two lags that one stick drives."""
+
+    states, inputs, outputs = ("p", "q"), ("lat",), ("p", "q")
+
+    Lp: Scalar = parameter(default=-2.0, lower=-9.0, upper=0.0, unit="1/s")
+    Mp: Scalar = parameter(default=0.5, lower=-9.0, upper=9.0, unit="1/s")
+    Llat: Scalar = parameter(default=3.0, lower=0.0, upper=9.0, unit="1/s^2")
+
+    def A(self):
+        return [[self.Lp, 0], [self.Mp, -1]]
+
+    def B(self):
+        return [[self.Llat], [1]]
+
+
+def driven(seed, gust, n=500):
+    """Noise (2, any) into both states, exact at the samples; controls are held."""
+    rng, system, h = np.random.default_rng(seed), Lags().system(), 0.05
+    whole, noise = np.zeros((3, 3)), np.zeros((4, 4))
+    whole[:2, :2], whole[:2, 2:] = system.A, system.B
+    noise[:2, :2], noise[:2, 2:], noise[2:, 2:] = -system.A, gust @ gust.T, system.A.T
+    pulse, turned = scipy.linalg.expm(whole * h), scipy.linalg.expm(noise * h)
+    size = turned[2:, 2:].T @ turned[:2, 2:] + 1e-12 * np.eye(2)  # C. F. Van Loan, 1978
+    kicks = rng.standard_normal((n, 2)) @ np.linalg.cholesky(size).T
+    u = np.repeat(rng.choice([-0.3, 0.3], n // 20), 20)
+    x = np.zeros((n, 2))
+    for k in range(n - 1):
+        x[k + 1] = pulse[:2, :2] @ x[k] + pulse[:2, 2] * u[k] + kicks[k]
+    y = x + 0.01 * rng.standard_normal((n, 2))
+    return Record(h * np.arange(n), u[:, None], y, ("lat",), ("p", "q"), f"flight {seed}", "zoh")
+
+
+ONE, TWO = np.array([[0.1], [0.1]]), np.diag([0.1, 0.1])  # gusts: into both, into each its own
+
+
+@pytest.mark.second
+def test_one_gust_that_drives_two_states_is_told_and_two_are_not():
+    with pytest.warns(DataWarning, match="innovations of p and q go together, .+ R=.full."):
+        output_error(Lags(), [driven(1, ONE), driven(2, ONE)], process_noise=True)
+    output_error(Lags(), [driven(1, TWO), driven(2, TWO)], process_noise=True)
+    told = {"process_noise": "gain", "R": "full"}  # the remedy that it names
+    fit = output_error(Lags(), [driven(1, ONE), driven(2, ONE)], **told)
+    std = np.array([row.std_error for row in fit.parameters])
+    assert (np.abs(fit.model.vector() - Lags().vector()) < 3 * std).all()
+
+
+@pytest.mark.second
+def test_a_record_in_rougher_air_is_told_and_chance_is_not():
+    with pytest.warns(
+        DataWarning, match=r"innovations of flight 2 have \d+ times .* flight 1: its"
+    ):
+        output_error(Lags(), [driven(1, 0.3 * TWO), driven(2, 3 * TWO)], process_noise=True)
+    output_error(Lags(), [driven(1, TWO, 60), driven(2, 1.2 * TWO, 500)], process_noise=True)
