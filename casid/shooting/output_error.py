@@ -81,8 +81,9 @@ class OutputError:
         state, independently; its densities [state²/s] come out in ``Fit.notes.process_noise``, the
         Kalman filter's gain in ``Fit.notes.K``, and R is of the measurement noise alone. "gain"
         estimates the gain K instead, all nx ny entries freely, R being the innovations', "full"
-        where one gust drives several states; a black box gives the gain to start that from, in the model's states; an array holds it.
-        K [1/s times state per output] acts on an innovation held over the sampling interval.
+        where one gust drives several states; a black box gives the gain to start that from, in the
+        model's states; an array holds it. K [1/s times state per output] acts on an innovation held
+        over the sampling interval.
     steps : int
         Of a nonlinear structure: Runge-Kutta steps a sampling interval, as many as needed unless
         given. ``Fit.notes.integration`` says what shorter ones would change.
