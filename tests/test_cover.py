@@ -46,7 +46,9 @@ def violated(rng, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["additive", "multiplicative"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("additive", marks=pytest.mark.campaign), "multiplicative"]
+)
 def test_a_weight_covers_between_its_points_and_is_tight(kind):
     found = np.array([violated(np.random.default_rng(seed), kind) for seed in (3, 8)])
     assert found[:, 0].min() > 1 - 1e-4  # 400 points a decade: what curvature leaves between two

@@ -38,6 +38,7 @@ from casid import DataWarning
 
 ROOT = Path(__file__).parent.parent
 PAGES = (*sorted((ROOT / "docs").rglob("*.md")), ROOT / "CONTRIBUTING.md")
+LONG = ("flight", "dask", "weights")  # pages whose examples take long and stand in other tests too
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)
 INSTALLING = ("git", "cd", "pip", "source")
@@ -77,7 +78,11 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=pytest.mark.campaign) if p.stem in LONG else p for p in PAGES],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
 def test_every_block_of_a_page_does_what_it_says(page, folder):
     mpl.use("Agg")
     names = {"__name__": "page"}

@@ -23,7 +23,7 @@ def kinds(book):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.filterwarnings("default")  # of Jupyter's own
 @pytest.mark.parametrize("path", BOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_shows_what_its_page_shows(path, monkeypatch):

@@ -83,7 +83,7 @@ def site(copied):
     return copied / "site"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_page_with_broken_references_is_not_built(copied, capfd):
     page = copied / "docs" / "index.md"
     before = page.read_text(encoding="utf-8")

@@ -382,7 +382,7 @@ def test_an_error_is_that_of_channels_and_parameters_not_of_their_places():
         mode_bands(fit, error=replace(whole, free_names=("a",) * len(whole.free_names)))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_reading_far_off_in_a_few_draws_is_no_standard_deviation():
     # Far above the band a small part of the response is missed, and the phase is read there too.
     fit, missed = fitted("true"), error("true")

@@ -16,7 +16,7 @@ from casid.vector_autoregression import of_flights, of_records
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axes", [1, 4])
+@pytest.mark.parametrize("axes", [pytest.param(1, marks=pytest.mark.campaign), 4])
 def test_the_share_from_outside_is_that_of_the_loop(axes):
     worst = []
     for seed, ratio in enumerate(RATIOS):

@@ -145,8 +145,14 @@ class Integral(Bank):
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("biased", [("p", "phi"), ("phi",), ()], ids=len)
-@pytest.mark.parametrize("slow", [0.0, -0.3], ids=["integral", "slow"])
+@pytest.mark.parametrize(
+    "biased",
+    [("p", "phi"), *(pytest.param(each, marks=pytest.mark.campaign) for each in (("phi",), ()))],
+    ids=len,
+)
+@pytest.mark.parametrize(
+    "slow", [0.0, pytest.param(-0.3, marks=pytest.mark.campaign)], ids=["integral", "slow"]
+)
 def test_states_that_follow_the_record_gain_nothing_by_its_noise(slow, biased):
     """Noise alone, that states and biases of a structure take a part of: expected is its size."""
     fit = replace(output_error(Integral(), banked(1)[0], fixed=("Lp",)), model=Bank(Lphi=slow))
@@ -214,7 +220,7 @@ def banked(seed):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_slow_mode_is_no_line_for_what_drifts():
     """Truth integrates: with a bias of phi that nothing estimates, a slow mode predicted better."""
     named = [

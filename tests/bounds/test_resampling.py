@@ -18,7 +18,7 @@ def expected():
     return np.sqrt(np.diag(np.linalg.inv(X.T @ X))[:3])
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_monte_carlo_scatters_as_the_cramer_rao_bound_says():
     found = monte_carlo(TRUTH, [record()], noise={"y": NOISE}, runs=RUNS, execution=HERE)
     assert found.names == ("a", "b", "d")

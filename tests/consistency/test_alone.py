@@ -29,7 +29,8 @@ def flown(seed, regime="cruise", **late):
         pytest.param("cruise", "u", 0.3, marks=pytest.mark.campaign),
         # clocks of each record
         pytest.param("slow", "v", 0.1, marks=pytest.mark.campaign),
-        ("fast", "w", -0.1),  # all velocities and ax
+        # all velocities and ax
+        pytest.param("fast", "w", -0.1, marks=pytest.mark.campaign),
     ],
 )
 def test_the_one_that_is_late_is_told_and_moves_alone(regime, name, lag):

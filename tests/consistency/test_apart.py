@@ -20,7 +20,11 @@ def late(names, lag, seed=21):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.05, pytest.param(0.2, marks=pytest.mark.campaign)])
-@pytest.mark.parametrize("names", [VELOCITIES, ATTITUDES], ids=["velocities", "attitudes"])
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param(VELOCITIES, marks=pytest.mark.campaign), ATTITUDES],
+    ids=["velocities", "attitudes"],
+)
 def test_what_is_late_by_itself_is_told_and_moves_alone(names, lag):
     record = late(names, lag)
     check = kinematic_check(record)
@@ -51,7 +55,7 @@ def test_a_late_reference_is_no_place_of_accelerometers(names):
     ("names", "lag"),
     [
         ((*bodies.ATTITUDES, *VELOCITIES), 0.06),
-        (bodies.ATTITUDES, -0.06),
+        pytest.param(bodies.ATTITUDES, -0.06, marks=pytest.mark.campaign),
         (VELOCITIES, -0.06),
         pytest.param(bodies.ATTITUDES, 0.06, marks=pytest.mark.campaign),
     ],

@@ -129,7 +129,9 @@ def test_a_drift_is_told_across_a_gap_as_well_as_without(seed, lost):
 
 @pytest.mark.parametrize(("lost", "name"), [((-1.0, 7.0), "p"), ((15.0, 19.0), "p"),
                                             ((36.0, 99.0), "phi")])  # fmt: skip
-@pytest.mark.parametrize("outputs", [ANGLES, WHOLE], ids=len)
+@pytest.mark.parametrize(
+    "outputs", [ANGLES, pytest.param(WHOLE, marks=pytest.mark.campaign)], ids=len
+)
 @pytest.mark.slow
 def test_what_a_channel_did_while_it_was_lost_for_seconds_is_not_made_up(outputs, lost, name):
     sound = seen_without(flight(3, None, NOISE, outputs), lost, name)

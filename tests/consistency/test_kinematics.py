@@ -304,7 +304,7 @@ def test_an_equation_that_lacks_a_channel_says_less():
     assert untold == ()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_velocity_that_two_mistakes_spoil_follows_from_nothing():
     check = kinematic_check([times(times(flight(0, None, NOISE), "w", -1.0), "u", 0.3)])
     assert any(said.startswith("w does not follow") for said in check.remarks)

@@ -49,7 +49,9 @@ def test_a_sensor_at_its_limit_is_named_and_no_scale_of_it_told(name, share, sid
 @pytest.mark.parametrize(
     "seed", [81, *(pytest.param(s, marks=pytest.mark.campaign) for s in range(82, 87))]
 )
-@pytest.mark.parametrize("errors", [None, ERRORS], ids=["right", "wrong"])
+@pytest.mark.parametrize(
+    "errors", [None, pytest.param(ERRORS, marks=pytest.mark.campaign)], ids=["right", "wrong"]
+)
 def test_a_sensor_within_its_limits_is_none_of_these(errors, seed):
     for outputs in (ANGLES, WHOLE):
         check = kinematic_check(flight(seed, errors, NOISE, outputs))

@@ -99,7 +99,7 @@ def test_clocks_that_leave_no_less_are_not_told_though_records_seem_to_differ(la
     assert clocks_by_record(flights, EQUATIONS, together, labels) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_scale_of_pitch_attitude_and_rate_is_no_clock():
     names = (*BARE, "u", "v", "w")
     rng = np.random.default_rng([1, 9])
@@ -112,7 +112,7 @@ def test_a_scale_of_pitch_attitude_and_rate_is_no_clock():
     assert check.shifts == {}
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_best_scale_explains_as_much_as_that_of_scales_tried_one_by_one():
     records = bodies.flown(8, "slow", outputs=HEADED, count=2)
     records = bodies.changed(records, "theta", lambda x: 1.07 * x)

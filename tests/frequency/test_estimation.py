@@ -65,7 +65,7 @@ def test_random_error_is_the_scatter_over_realisations(method, runs):
     assert np.mean(phase / stated) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_stated_errors_hold_with_few_windows():
     """Lengths are weighed by their errors: one that is too small by chance must not lead."""
     rng, omega, z = np.random.default_rng(17), np.geomspace(2.0, 12.0, 16), []

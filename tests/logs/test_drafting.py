@@ -245,7 +245,12 @@ def recorded(path, record):
         pytest.param(
             dict.fromkeys(bodies.SPEEDS, 0.06), None, "u v w are 0.0", marks=pytest.mark.campaign
         ),
-        (dict.fromkeys(bodies.ATTITUDES, 0.06), None, "phi theta are 0.0"),
+        pytest.param(
+            dict.fromkeys(bodies.ATTITUDES, 0.06),
+            None,
+            "phi theta are 0.0",
+            marks=pytest.mark.campaign,
+        ),
     ],
     ids=["good", "theta", "velocities", "attitudes"],
 )

@@ -47,7 +47,7 @@ def test_the_start_of_a_simulation_is_the_state_that_fits_with_biases_free():
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("detrended", [False, True])
+@pytest.mark.parametrize("detrended", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_a_bootstrap_puts_residuals_back_on_the_nonlinear_simulation(detrended):
     record = swung(3, size=0.9)
     record = replace(record, y=record.y + np.array([0.05, -0.1]))

@@ -61,7 +61,7 @@ def test_sensitivities_are_differences_of_scipys_solutions(cls, hold, samples, n
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("hold", ["foh", pytest.param("zoh", marks=pytest.mark.campaign)])
 def test_what_halving_the_steps_is_told_to_change_is_the_error_of_the_integration(hold):
     lam = np.array([9.0, 0.3, 5.0, 2.65 * DT, 1.4 * DT])
     noise, rng = {"w": 0.02, "n": 0.01}, np.random.default_rng(4)
@@ -79,7 +79,7 @@ def test_what_halving_the_steps_is_told_to_change_is_the_error_of_the_integratio
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("hold", ["zoh", pytest.param("foh", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("hold", ["zoh", pytest.param("foh", marks=pytest.mark.campaign)])
 def test_a_root_of_an_input_that_comes_from_zero_is_no_obstacle(hold):
     lam = np.array([9.0, 0.3, 5.0, 2.65 * DT, 1.4 * DT])
     noise, rng = {"w": 0.02, "n": 0.01}, np.random.default_rng(5)

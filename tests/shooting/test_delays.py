@@ -63,8 +63,8 @@ def test_a_free_delay_of_whole_samples_is_right_to_a_tenth_of_one(structure, hol
 
 @pytest.mark.second
 @pytest.mark.parametrize("structure", [Felt, Slight])
-@pytest.mark.parametrize("late", [0.0, 1.0])
-@pytest.mark.parametrize("start", [0.0, 0.6])
+@pytest.mark.parametrize("late", [pytest.param(0.0, marks=pytest.mark.campaign), 1.0])
+@pytest.mark.parametrize("start", [0.0, pytest.param(0.6, marks=pytest.mark.campaign)])
 def test_a_nonlinear_structure_s_delay_of_whole_samples_is_found(structure, late, start):
     # The information of the delay is that of q alone, on both ends of its stretch.
     fit = output_error(
@@ -230,9 +230,9 @@ def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
     ("structure", "tau", "start", "domain"),
     [
         (Twice, 0.083, 0.083, "time"),
-        pytest.param(Twice, 0.077, 0.05, "time", marks=pytest.mark.slow),
+        pytest.param(Twice, 0.077, 0.05, "time", marks=pytest.mark.campaign),
         pytest.param(Longer, 0.087, 0.05, "time", marks=pytest.mark.slow),
-        pytest.param(Against, 0.071, 0.11, "time", marks=pytest.mark.slow),
+        pytest.param(Against, 0.071, 0.11, "time", marks=pytest.mark.campaign),
         pytest.param(Twice, 0.0753, 0.185, "frequency", marks=pytest.mark.slow),
     ],
 )

@@ -84,7 +84,9 @@ class Flapping(Roll):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [*(pytest.param(k, marks=pytest.mark.campaign) for k in (0, 1)), 2]
+)
 def test_spectra_of_what_a_structure_misses_settle(seed, monkeypatch):
     # Without a rotor its lag is no delay: rounds creep along what the delay may be.
     rng, truth, start = np.random.default_rng(seed), Flapping(tau=0.02), (0.3, -0.02, 0.01, 0.0)

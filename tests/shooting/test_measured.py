@@ -122,7 +122,7 @@ def test_responses_that_are_worse_than_stated_widen_the_errors():
     assert np.mean(r**2) == pytest.approx(25, rel=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_joint_estimate_is_as_good_as_its_information_says():
     z = []
     for seed in range(16):

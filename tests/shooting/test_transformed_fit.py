@@ -247,7 +247,7 @@ def test_errors_of_coloured_noise_under_a_white_covariance_are_stated():
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_errors_from_one_record_in_gusts_are_not_far_too_small():
     z = []
     for seed in range(40):

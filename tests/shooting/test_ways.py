@@ -69,7 +69,7 @@ def test_a_fit_nearby_is_where_it_begins():
     assert warm.iterations < far.iterations / 2
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_filter_is_no_less_likely_than_the_output_error_it_begins_with():
     plain, filtered = ways(R="diagonal").output_error(), ways(R="diagonal").filtered(True)
     assert filtered.solution.success

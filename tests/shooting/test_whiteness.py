@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 import scipy.stats
 
 from casid import DataWarning, Model, Record, Scalar, output_error, parameter
@@ -89,7 +90,7 @@ def flown(seed, gust):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_gusts_of_seconds_are_told_unless_they_have_a_state_of_their_own():
     records = [flown(seed, 1.5) for seed in (1, 2)]
     with pytest.warns(DataWarning, match="innovations are correlated in time"):
@@ -117,8 +118,11 @@ class Lags(Model):
         return [[self.Llat], [1]]
 
 
-def driven(seed, gust, n=500):
-    """Noise (2, any) into both states, exact at the samples; controls are held."""
+def driven(seed, gust, n=500, lag=0.0):
+    """Noise (2, any) into both states, exact at the samples; controls are held.
+
+    ``lag`` is the share of what drives them over a step that lasts for the next.
+    """
     rng, system, h = np.random.default_rng(seed), Lags().system(), 0.05
     whole, noise = np.zeros((3, 3)), np.zeros((4, 4))
     whole[:2, :2], whole[:2, 2:] = system.A, system.B
@@ -126,6 +130,7 @@ def driven(seed, gust, n=500):
     pulse, turned = scipy.linalg.expm(whole * h), scipy.linalg.expm(noise * h)
     size = turned[2:, 2:].T @ turned[:2, 2:] + 1e-12 * np.eye(2)  # C. F. Van Loan, 1978
     kicks = rng.standard_normal((n, 2)) @ np.linalg.cholesky(size).T
+    kicks = scipy.signal.lfilter([1.0], [1.0, -lag], kicks, axis=0)
     u = np.repeat(rng.choice([-0.3, 0.3], n // 20), 20)
     x = np.zeros((n, 2))
     for k in range(n - 1):
@@ -146,6 +151,12 @@ def test_one_gust_that_drives_two_states_is_told_and_two_are_not():
     fit = output_error(Lags(), [driven(1, ONE), driven(2, ONE)], **told)
     std = np.array([row.std_error for row in fit.parameters])
     assert (np.abs(fit.model.vector() - Lags().vector()) < 3 * std).all()
+
+
+@pytest.mark.second
+def test_a_gust_that_lasts_is_told():
+    with pytest.warns(DataWarning, match="innovations are correlated in time"):
+        output_error(Lags(), driven(1, TWO, 300, 0.9), process_noise=True)
 
 
 @pytest.mark.second

@@ -36,7 +36,7 @@ def chosen():
     return system, record, pbsid(record)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_coarse_samples_of_hardly_damped_modes_are_chosen_without_a_word(chosen):
     system, record, box = chosen
     assert box.transform == "none"
