@@ -38,7 +38,12 @@ from casid import DataWarning
 
 ROOT = Path(__file__).parent.parent
 PAGES = (*sorted((ROOT / "docs").rglob("*.md")), ROOT / "CONTRIBUTING.md")
-LONG = ("flight", "dask", "weights")  # pages whose examples take long and stand in other tests too
+LONG = (
+    "flight",
+    "envelope",
+    "dask",
+    "weights",
+)  # pages whose examples take long and stand in other tests too
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)
 INSTALLING = ("git", "cd", "pip", "source")

@@ -167,15 +167,8 @@ def test_a_rate_that_is_like_the_own_one_does_not_hide_a_clock():
     assert float(remarks[0].split()[2]) == pytest.approx(3.0, abs=0.02)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "names"),
-    [
-        (4, ("v", "w")),
-        pytest.param(5, ("v", "w"), marks=pytest.mark.campaign),
-        pytest.param(1, ("u", "v"), marks=pytest.mark.campaign),
-    ],
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize(("seed", "names"), [(4, ("v", "w")), (5, ("v", "w")), (1, ("u", "v"))])
 def test_velocities_that_are_exchanged_are_neither_late_nor_scales(seed, names):
     remarks = kinematic_check([exchanged(record, *names) for record in flown(seed)]).remarks
     assert [x for x in remarks if "does not follow from the other channels" in x]

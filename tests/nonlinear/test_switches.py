@@ -110,7 +110,7 @@ def test_what_no_parameter_moves_or_does_not_jump_is_not_told(model):
     assert passages(model, [(record.y, record.u)]) == []
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_jump_that_an_input_decides_is_told_where_a_parameter_delays_that():
     record = flown(Switched())
     (found,) = passages(Switched(), [(record.y, record.u)], late=["lat"])

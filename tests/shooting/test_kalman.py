@@ -156,8 +156,8 @@ def test_turbulence_that_steps_from_output_error_miss_is_not_taken_for_still_air
     assert fit.cost < output_error(case.start(case.truth), record).cost - 100
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.campaign), 3])
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", [2, 3])
 def test_turbulence_that_seems_to_drive_another_state_is_found_out(seed):
     # From output error alone the search ends where noise drives the attitude, up to 70 of
     # log-likelihood worse, with derivatives eight stated errors off.
