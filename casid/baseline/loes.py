@@ -9,6 +9,7 @@ M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,10 @@ from casid.frequency.response import FrequencyResponse, response_of_pair
 from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, weighted_errors
 from casid.records import several
 
-# Delays to start from, in periods of the fastest point.
-DELAYS = np.array([0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4])
-REFINED = 3  # starts that are carried to the end
+STEP = 0.25  # rad of the fastest point's phase between delays to start from
+BLOCK = 4  # such delays, of which the best is a start
+TRIED, SIFTING = 10, 30  # starts of which so many evaluations tell
+REFINED = 4  # starts that are carried to the end
 SWEEPS = 8  # Sanathanan-Koerner iterations of a start
 UNTOLD = 1e6  # times the error that an unknown has if all others are known: not determined
 ROUNDING = 1e-8  # part in a direction without effect that is none
@@ -115,7 +117,8 @@ def transfer_function(
     order : (int, int)
         Degrees (nz, np) of numerator and denominator.
     delay : bool
-        Whether a delay τ >= 0 is estimated too.
+        Whether a delay τ >= 0 is estimated too: the best of all that the phase admits, which moves
+        through that of the delay less a quarter of a turn a pole or zero.
     pair : (output, input)
         Which pair; may be left out of a response that has one.
     band, coherence : (float, float), float
@@ -227,26 +230,49 @@ class _TransferFunctionFit:
         One that has not counts all the same: coefficients that the measurement does not determine
         wander off for ever where the fit no longer gets better.
         """
-        delays = DELAYS[: None if self.delay else 1] * 2 * np.pi / abs(self.s[-1])
-        starts = [start for tau in delays if (start := self._start(tau)) is not None]
-        starts.sort(key=lambda start: float(np.sum(self.residual(start) ** 2)))
-        starts = [*starts[:REFINED], *self._nested()]
         lower = np.full(sum(self.order) + 1 + self.delay, -np.inf)
         if self.delay:
             lower[-1] = 0.0
-        solver = scipy.optimize.least_squares
-        fit = partial(solver, self.residual, jac=self.jacobian, x_scale="jac", max_nfev=500)
-        found = []
-        for start in starts:
-            inside = start if not self.delay else np.append(start[:-1], max(start[-1], 1e-6))
-            limits = (lower, np.inf)
-            found.append(fit(x0=inside, bounds=limits, xtol=1e-12, ftol=1e-12, gtol=1e-12))
+        solver = partial(scipy.optimize.least_squares, self.residual, jac=self.jacobian)
+        fit = partial(
+            solver, bounds=(lower, np.inf), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12
+        )
+        starts = [*self._starts(), *self._nested()]
+        if self.delay:
+            starts = [np.append(start[:-1], max(start[-1], 1e-6)) for start in starts]
+        sifted = [fit(x0=start, max_nfev=SIFTING) for start in starts]
+        sifted.sort(key=lambda result: result.cost)
+        found = [fit(x0=result.x, max_nfev=500) for result in sifted[:REFINED]]
         if not found:
             raise ConvergenceError(
                 f"no transfer function of order {self.order} fits; try another order or band"
             )
         best = min(found, key=lambda result: result.cost)
         return np.asarray(best.x), best.status > 0
+
+    def _starts(self) -> list[Array]:
+        """The best of every radian or so that a delay adds at the fastest point.
+
+        J has valleys over the delay, the phase being wrapped; for each delay the rest is linear.
+        """
+        starts = [self._start(tau) for tau in self._delays()]
+        told = [(float(np.sum(self.residual(x) ** 2)), x) for x in starts if x is not None]
+        blocks = [told[k : k + BLOCK] for k in range(0, len(told), BLOCK)]
+        best = sorted((min(block, key=itemgetter(0)) for block in blocks), key=itemgetter(0))
+        return [x for _, x in best[:TRIED]]
+
+    def _delays(self) -> Array:
+        """All delays that the phase admits, in units of 1/ω₀.
+
+        What it moves through over the band, and what the rational part may hide of a delay: its
+        phase rises by a quarter of a turn a root at most.
+        """
+        if not self.delay:
+            return np.zeros(1)
+        s = np.abs(self.s)
+        moved = np.abs(np.angle(self.G[1:] / self.G[:-1])).sum()
+        longest = (moved + sum(self.order) * np.pi / 2) / (s[-1] - s[0])
+        return np.arange(0.0, longest + STEP / s[-1], STEP / s[-1])
 
     def _nested(self) -> list[Array]:
         """The fit of one degree less with a pole on a zero: no higher order fits worse than it."""

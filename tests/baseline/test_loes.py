@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import scipy
 from truths import uh60
 
 from casid import FrequencyResponse, frequency_response
@@ -49,6 +50,44 @@ def test_an_unstable_system_of_negative_gain_is_found_too():
     assert sorted(fit.poles.real) == pytest.approx([-4, 0.1, 0.1], rel=1e-5)
     assert fit.zeros == pytest.approx([-2], rel=1e-5)
     assert fit.delay == pytest.approx(0.15, abs=1e-6)
+
+
+@pytest.mark.parametrize("turned", [0.5, 5.0, 9.0, 15.0])  # rad at the fastest point
+@pytest.mark.parametrize(("numerator", "denominator"), [
+    ([10.0], [1.0, 2.5]), ([-40.0], [1.0, 2.0, 16.0]), ([30.0, 60.0], [1.0, 4.0, 9.0]),
+])  # fmt: skip
+def test_delays_of_more_than_a_turn_are_found_exactly(numerator, denominator, turned):
+    omega = np.geomspace(0.3, 15.0, 40)
+    tau = turned / omega[-1]
+    frf = measured(lambda s: np.polyval(numerator, s) / np.polyval(denominator, s)
+                   * np.exp(-tau * s), omega=omega)  # fmt: skip
+    fit = transfer_function(frf, (len(numerator) - 1, len(denominator) - 1))
+    assert fit.delay == pytest.approx(tau, rel=1e-6)
+    np.testing.assert_allclose(fit.numerator, numerator, rtol=1e-5)
+    np.testing.assert_allclose(fit.denominator, denominator, rtol=1e-5)
+
+
+def test_no_delay_fits_a_higher_order_better():
+    # The best K and a of K e^(-τs)/(s + a) for every delay, from several a each; K is closed.
+    omega = np.geomspace(0.3, 15.0, 40)
+    s = 1j * omega
+    late = 500 / ((s + 2.5) * (s**2 + 10 * s + 50) * (1 + s / 8) * (1 + s / 12)) * np.exp(-0.1 * s)
+    weight = 20 / len(omega) * coherence_weight(np.array(1.0))
+
+    def cost(log_a, tau):
+        ratio = np.exp(-tau * s) / (s + np.exp(log_a)) / late
+        gain, phase = 20 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+        return weight * np.sum((gain - gain.mean()) ** 2 + 0.01745 * phase**2)
+
+    grid = np.meshgrid(np.linspace(-3, 3, 61), np.linspace(0, 1.5, 151))
+    log_a, tau = (each.ravel() for each in grid)
+    coarse = [cost(*at) for at in zip(log_a, tau, strict=True)]
+    k = int(np.argmin(coarse))
+    start = [log_a[k], tau[k]]
+    exact = scipy.optimize.minimize(lambda x: cost(*x), start, method="Nelder-Mead", tol=1e-10)
+    fit = transfer_function(measured(lambda _: late, omega=omega), (0, 1))
+    assert pytest.approx(exact.fun, rel=1e-8) == fit.J
+    assert fit.delay == pytest.approx(exact.x[1], rel=1e-4)
 
 
 def test_without_delay_none_is_estimated():
