@@ -83,8 +83,9 @@ def convert(
         console.print(Text(f"{target}: {done}"), soft_wrap=True)
 
 
-# Options that say something about a linear fit in a format, and those about a nonlinear one only.
+# Options that say something about a fit in a format, and those about one kind of fit only.
 TAKEN = {".m": ("--pade",), ".fmu": ("--pade",), ".c": ("--dt", "--hold")}
+LINEAR = {".py": ("--hold",)}
 NONLINEAR = {".py": ("--pade",), ".c": ("--steps",)}
 
 
@@ -108,9 +109,10 @@ def _convert_result(
         *some, last = FITS
         known = f"{', '.join(some)} or {last}"
         raise ValueError(f"{target}: a fit becomes {known}, not {target.suffix!r}")
-    kind, taken = "a linear fit", TAKEN.get(target.suffix, ())
+    kind, own = "a linear fit", LINEAR
     if isinstance(fit.model, NonlinearModel):
-        kind, taken = "a nonlinear fit", (*taken, *NONLINEAR.get(target.suffix, ()))
+        kind, own = "a nonlinear fit", NONLINEAR
+    taken = {each for table in (TAKEN, own) for each in table.get(target.suffix, ())}
     _refuse(target, kind, {name: value for name, value in given.items() if name not in taken})
     told = f"{type(fit.model).__name__} after {fit.method}"
     return told + FITS[target.suffix](target, fit, told, given)
@@ -129,8 +131,9 @@ def _equations(target: Path, fit: AnyFit, told: str, given: Mapping[str, Any]) -
 def _module(target: Path, fit: AnyFit, told: str, given: Mapping[str, Any]) -> str:
     if isinstance(fit.model, NonlinearModel):
         return _equations(target, fit, told, given)
-    write_module(target, fit.model.system(), title=told)
-    return ""
+    hold = given["--hold"] or hold_of(fit)
+    write_module(target, fit.model.system(), hold=hold, title=told)
+    return HELD[hold]
 
 
 def _fmu(target: Path, fit: AnyFit, _: str, given: Mapping[str, Any]) -> str:
@@ -145,9 +148,10 @@ def _c(target: Path, fit: AnyFit, _: str, given: Mapping[str, Any]) -> str:
     if steps is None and isinstance(fit.model, NonlinearModel) and 0 < dt < np.inf:
         steps = usual_steps(fit.model, dt, getattr(fit.notes, "covered", None))
     write_c(target, _system(fit), dt=dt, hold=hold, steps=steps)
-    return ", inputs held between samples" if hold == "zoh" else ", inputs in straight lines"
+    return HELD[hold]
 
 
+HELD = {"zoh": ", inputs held between samples", "foh": ", inputs in straight lines"}
 FITS = {".mat": _mat, ".m": _equations, ".py": _module, ".c": _c, ".fmu": _fmu}
 
 

@@ -56,6 +56,23 @@ def test_source_holds_inputs_as_the_records_did():
     assert done.output.endswith("inputs in straight lines\n")
 
 
+@pytest.mark.parametrize(("asked", "hold"), [((), "zoh"), (("--hold", "foh"), "foh")])
+def test_a_module_holds_inputs_as_the_records_did(folder, asked, hold):
+    done = casid("convert", "fit.json", "flown.py", *ROLL, *asked)
+    told = {"zoh": "inputs held between samples", "foh": "inputs in straight lines"}[hold]
+    assert done.output == f"flown.py: Roll after output error, {told}\n"
+    text = (folder / "flown.py").read_text("utf-8")
+    assert f'inputs are held as "{hold}" unless' in text
+    flown = {}
+    exec(compile(text, "flown", "exec"), flown)
+    t = 0.1 * np.arange(40)
+    u = np.where((t > 1) & (t < 2), 0.1, 0.0)[:, None]
+    system = Fit.load("fit.json", model=load_model("roll.py:Roll", folder)).model.system()
+    expected = system.simulate(t, u, hold=hold)
+    found = flown["simulate"](t, u)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
 def test_where_nothing_says_so_inputs_are_straight_lines():
     assert hold_of(SimpleNamespace(notes=None)) == "foh"
     assert hold_of(SimpleNamespace(notes=SimpleNamespace(hold=None))) == "foh"
@@ -67,6 +84,8 @@ def test_where_nothing_says_so_inputs_are_straight_lines():
     [
         (("fit.json", "a.m", *ROLL, "--dt", "0.02"), "--dt says nothing about a.m, a linear fit"),
         (("fit.json", "a.c", *ROLL, "--pade", "3"), "--pade says nothing about a.c"),
+        (("fit.json", "a.py", *ROLL, "--pade", "3"), "--pade says nothing about a.py"),
+        (("fit.json", "a.m", *ROLL, "--hold", "zoh"), "--hold says nothing about a.m"),
         (("fit.json", "a.c", *ROLL, "--dt", "0.02", "--steps", "4"), "--steps says nothing about"),
         (("3211.csv", "a.mat", *ROLL), "--model says nothing about 3211.csv, a record"),
         (("3211.csv", "a.parquet", "--mat-version", "5"), "a.parquet, which is no .mat"),

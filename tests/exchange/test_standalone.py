@@ -74,4 +74,6 @@ def test_a_module_must_be_importable_and_continuous(system, tmp_path):
             write_module(tmp_path / name, system)
     with pytest.raises(ValueError, match=r"discrete with an interval of 0\.02 s"):
         write_module(tmp_path / "model.py", replace(system, dt=0.02))
+    with pytest.raises(ValueError, match="hold='step', expected"):
+        write_module(tmp_path / "model.py", system, hold="step")
     assert list(tmp_path.iterdir()) == []
