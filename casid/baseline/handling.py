@@ -16,9 +16,10 @@ Open loop, MIL-DTL-9490E: the phase margin is 180° plus the phase where the gai
 gain margin minus the gain where the phase passes -180°; 45° and 6 dB are wanted. With several
 crossings the least in magnitude counts; a negative gain margin is that against a loss of gain, a
 negative phase margin where the gain rises that against a phase lead. Where the gain falls for the
-last time, a negative phase margin means that the closed loop is unstable, however large it is. So
-does a phase that passes -180° more often downwards than upwards where the gain is above 0 dB: these
-are encirclements of -1 (Nyquist), which an unstable aircraft would need the other way round.
+last time, a negative phase margin means that the closed loop is unstable, however large it is; that
+margin counts before all others. Unstable it is too where the phase passes -180° more often
+downwards than upwards where the gain is above 0 dB: these are encirclements of -1 (Nyquist), which
+an unstable aircraft would need the other way round.
 """
 
 from collections.abc import Sequence
@@ -35,6 +36,8 @@ Kind = Literal["attitude", "rate", "loop"]
 
 PHASE_MARGIN, GAIN_MARGIN = 45.0, 6.0  # degrees, dB
 COHERENT = 0.6
+COARSE = 45.0  # degrees from point to point; a resonance between them is up to 0.7 dB above both
+ALIKE = 0.5  # part of the larger that two readings of a phase delay may differ by
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -54,7 +57,8 @@ class HandlingQualities(Shown):
     phase_delay, phase_delay_line : float
         τ_p [s], from the end points and from a least-squares line.
     crossover : float
-        Gain crossing with the least phase margin [rad/s].
+        Gain crossing of the phase margin [rad/s]: that of the least in magnitude, or the last if
+        the closed loop is unstable by it.
     phase_margin, gain_margin : float
         [degrees], [dB].
     satisfactory : bool or None
@@ -179,7 +183,9 @@ def _bandwidth(
     top = min(2 * np.exp(x180), found.omega[-1])
     read = (found.omega >= np.nanmin([*both, np.exp(x180)])) & (found.omega <= top)
     remarks += _doubts(gamma[read])
-    found = replace(found, phase_deg=phase, omega_180=float(np.exp(x180)), remarks=tuple(remarks))
+    found = replace(found, phase_deg=phase)
+    remarks += _coarse(found, np.array([x180, *np.log([each for each in both if each > 0])]))
+    found = replace(found, omega_180=float(np.exp(x180)), remarks=tuple(remarks))
     found = replace(found, phase_delay=delay, phase_delay_line=line, bandwidth=float(np.min(both)))
     return replace(found, bandwidth_phase=float(by_phase), bandwidth_gain=float(by_gain))
 
@@ -205,7 +211,15 @@ def _phase_delay(x: Array, phase: Array, x180: float) -> tuple[float, float, lis
     curve = np.interp(np.log(fine), x, phase)
     delay = -(curve[-1] + 180) / (np.degrees(1) * 2 * omega_180)
     slope = np.polyfit(fine, curve, 1)[0]
-    return float(delay), float(-slope / np.degrees(1) / 2), []
+    line = -slope / np.degrees(1) / 2
+    remarks = []
+    if abs(delay - line) > ALIKE * max(abs(delay), abs(line)):
+        remarks.append(
+            f"the phase delay is {delay:.3g} s from the end points and {line:.3g} s from a line: "
+            "the phase is no straight line from ω_180 to 2ω_180, as by a lightly damped mode "
+            "there; judge by the curve"
+        )
+    return float(delay), float(line), remarks
 
 
 def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
@@ -216,7 +230,8 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
     spare = -np.interp(at_phase, x, found.gain_db)
     phase_margin, gain_margin, crossover, omega_180 = (np.nan,) * 4
     if len(at_gain):
-        k = int(np.argmin(np.abs(margins)))
+        last = margins[-1] < 0 and found.gain_db[-1] < 0  # unstable by it, whatever came before
+        k = -1 if last else int(np.argmin(np.abs(margins)))
         phase_margin, crossover = float(margins[k]), float(np.exp(at_gain[k]))
     else:
         remarks.append("the gain does not pass 0 dB in the band: no phase margin in it")
@@ -230,7 +245,7 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
     wide = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
     places = np.concatenate([at_gain, at_phase])
     near = [int(np.argmin(np.abs(x - place))) for place in places]
-    remarks += _doubts(gamma[near])
+    remarks += _doubts(gamma[near]) + _coarse(found, places)
     known = np.isfinite(phase_margin) and np.isfinite(gain_margin)
     satisfactory = wide and not unstable if known else None
     found = replace(found, omega_180=omega_180, crossover=crossover, satisfactory=satisfactory)
@@ -250,9 +265,9 @@ def _instability(found: HandlingQualities, at_gain: Array) -> list[str]:
             for at in np.exp(at_gain[at_gain > lost[-1]])
         ]
         return [
-            f"the phase is below -180° where the gain falls through 0 dB, at {np.exp(lost[0]):.3g} "
-            f"rad/s: the closed loop is unstable{''.join(unless[:1])}; if it flies, "
-            "check the sign of the loop"
+            "the phase is below -180° where the gain falls through 0 dB, at "
+            f"{np.exp(lost[-1]):.3g} rad/s: the closed loop is unstable{''.join(unless[:1])}; if "
+            "it flies, check the sign of the loop"
         ]
     around = _encirclements(found)
     if around <= 0:
@@ -292,6 +307,18 @@ def _passing(
         if low <= first < high or (first == high and k + 2 == len(x)):
             found.append(x[k] + (first - y[k]) / (y[k + 1] - y[k]) * (x[k + 1] - x[k]))
     return np.array(found)
+
+
+def _coarse(found: HandlingQualities, places: Array) -> list[str]:
+    """A remark on each step of the grid too wide to read what lies in it, at places in log ω."""
+    after = np.clip(np.searchsorted(np.log(found.omega), places), 1, len(found.omega) - 1)
+    wide = {int(k) for k in after if abs(np.diff(found.phase_deg)[k - 1]) > COARSE}
+    return [
+        f"the phase moves by {abs(found.phase_deg[k] - found.phase_deg[k - 1]):.0f}° between "
+        f"{found.omega[k - 1]:.3g} and {found.omega[k]:.3g} rad/s, where numbers are read, without "
+        "a point between them: give the response on a finer grid there"
+        for k in sorted(wide)
+    ]
 
 
 def _doubts(gamma: Array) -> list[str]:

@@ -265,3 +265,47 @@ def test_a_conditionally_stable_loop_is_not_called_unstable():
     loop = response(lambda s: np.polyval(num, s) / np.polyval(den, s))
     (remark,) = handling_qualities(loop, ("phi", "lat"), kind="loop").remarks
     assert "unstable unless it is conditionally stable: the gain passes 0 dB again" in remark
+
+
+def resonant(s):
+    return 1.2 / s * 25 / (s**2 + 0.2 * s + 25) * np.exp(-0.01 * s)
+
+
+def test_the_margin_of_an_unstable_loop_is_that_where_it_is_lost():
+    # The gain falls through 0 dB, rises with +81° and falls again with -81° beyond -180°.
+    omega = np.geomspace(0.05, 60, 4000)
+    read = handling_qualities(response(resonant, omega=omega), ("phi", "lat"), kind="loop")
+    lost = scipy.optimize.brentq(lambda w: np.abs(resonant(1j * w)) - 1, 5.1, 20)
+    margin = 180 + np.degrees(np.angle(resonant(1j * lost))) - 360
+    assert read.crossover == pytest.approx(lost, rel=1e-4)
+    assert read.phase_margin == pytest.approx(margin, abs=0.1)
+    assert read.satisfactory is False
+    assert "at 5.51 rad/s: the closed loop is unstable" in read.remarks[0]
+    assert len(read.remarks) == 1
+
+
+def test_a_grid_too_coarse_for_a_margin_is_told():
+    at = scipy.optimize.brentq(lambda w: resonant(1j * w).imag, 4.5, 5.5)
+    margin = -20 * np.log10(np.abs(resonant(1j * at)))
+    for points, told in ((120, 1), (800, 0)):
+        frf = response(resonant, omega=np.geomspace(0.05, 60, points))
+        read = handling_qualities(frf, ("phi", "lat"), kind="loop")
+        assert (abs(read.gain_margin - margin) > 1) == bool(told)
+        said = [each for each in read.remarks if "give the response on a finer grid" in each]
+        assert len(said) == told
+    assert read.gain_margin == pytest.approx(margin, abs=0.2)
+
+
+def test_phase_delays_that_contradict_each_other_are_told():
+    def mode(s):  # lightly damped, just above ω_180: the phase rises and falls back
+        return (s**2 + 0.64 * s + 64) / (s**2 + 0.28 * s + 49)
+
+    omega = np.geomspace(0.3, 30, 600)
+    plain = handling_qualities(response(roll, omega=omega), ("phi", "lat"))
+    assert not plain.remarks
+    read = handling_qualities(
+        response(lambda s: 10 / (s * (s + 3)) * mode(s) * np.exp(-0.06 * s), omega=omega),
+        ("phi", "lat"),
+    )
+    assert read.phase_delay > 0 > read.phase_delay_line
+    assert any("no straight line from ω_180 to 2ω_180" in each for each in read.remarks)
