@@ -5,7 +5,8 @@ from collections.abc import Collection
 import numpy as np
 import scipy.linalg
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
+from casid.errors import warn
 from casid.linear import StateSpace
 
 
@@ -15,7 +16,8 @@ def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
     A discrete model holds past inputs as states, which is exact; from states of zero inputs were
     zero before, whereas `StateSpace.simulate` holds their first value. A continuous one gets a Padé
     approximation for each delayed input: all-pass, the phase right up to about ``pade``/delay
-    rad/s.
+    rad/s. An output with a direct term of a delayed input answers a step of that input at once by
+    one of the term's full size, whatever the order; a `DataWarning` tells.
 
     Parameters
     ----------
@@ -30,6 +32,32 @@ def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
         Delays of a continuous model without ``pade``; of a discrete one that are no multiples of
         its interval.
     """
+    if system.delay.any() and system.dt is None:
+        warn_steps(system, system.D != 0, pade)
+    return delays_as_states(system, pade)
+
+
+def warn_steps(system: StateSpace, direct: BoolArray, pade: int | None) -> None:
+    """Tell the ``direct`` terms (ny, nu) of inputs whose delay is approximated.
+
+    A Padé approximation of as many poles as zeros passes ±1 at the highest frequencies.
+    """
+    told = [
+        f"{name} in {', '.join(y for y, felt in zip(system.outputs, column, strict=True) if felt)}"
+        for name, tau, column in zip(system.inputs, system.delay, direct.T, strict=True)
+        if tau and column.any()
+    ]
+    if told and pade is not None:
+        warn(
+            f"direct terms of delayed inputs, {'; '.join(told)}: a Padé approximation, of whatever "
+            "order, answers each step of such an input at once by one of the term's full size. "
+            "Where inputs go in steps, export the model with its delay set to 0 and send them "
+            "late, or write .c, or .py of a linear fit, whose delays are exact"
+        )
+
+
+def delays_as_states(system: StateSpace, pade: int | None) -> StateSpace:
+    """`without_delay` without a word on steps."""
     if not system.delay.any():
         return system
     if system.dt is None and pade is None:

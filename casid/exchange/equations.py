@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.channels import UNITS
-from casid.exchange.delays import without_delay
+from casid.exchange.delays import delays_as_states, warn_steps, without_delay
 from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
@@ -92,12 +92,13 @@ def _nonlinear(model: NonlinearModel, pade: int | None) -> Equations:
     (x0, u0), names = model.operating_point(), model.inputs
     nu, empty = len(names), np.zeros((0, 0))
     through = np.zeros((0, nu)), np.zeros((nu, 0)), np.eye(nu)
-    line = without_delay(
-        StateSpace(empty, *through, None, names, names, (), model.system().delay), pade
-    )
+    linear, equations = model.system(), model.equations()
+    direct = np.array(ca.DM(equations.jac_sparsity(1, 1)), dtype=bool)  # y by u, wherever
+    warn_steps(linear, direct, pade)
+    line = delays_as_states(StateSpace(empty, *through, None, names, names, (), linear.delay), pade)
     x, u = ca.SX.sym("x", len(x0) + line.nx), ca.SX.sym("u", nu)
     own, late = x[: len(x0), 0], x[len(x0) :, 0]  # of one index a 1 x 1 makes a row
-    rates, outputs = model.equations()(own, line.C @ late + line.D @ u, model.vector())
+    rates, outputs = equations(own, line.C @ late + line.D @ u, model.vector())
     rest = np.linalg.solve(line.A, -line.B @ u0) if line.nx else np.zeros(0)
     return Equations(
         states=(*model.states, *line.states),

@@ -294,6 +294,7 @@ def test_columns_units_and_time_of_a_log_are_told_to_inspect_and_check(tmp_path)
     assert "log.csv: no column 'PITCH_RATE'" in unknown.output
 
 
+@pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
     fit = SimpleNamespace(model=AIRCRAFT, method="output error", notes=None)
     monkeypatch.setattr("casid.commands.conversion.load_fit", lambda *_: fit)

@@ -86,6 +86,7 @@ def test_compiled_source_steps_a_nonlinear_structure(tmp_path, hold):
         write_c(tmp_path / "model.c", AIRCRAFT, dt=DT, steps=0)
 
 
+@pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 @needs_compiler
 @pytest.mark.slow
 def test_an_fmu_of_a_nonlinear_structure_starts_at_its_reference_condition(tmp_path):
@@ -158,6 +159,7 @@ def test_what_c_cannot_be_is_refused(tmp_path):
         write_fmu(tmp_path / "model.fmu", delayed)
 
 
+@pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 @needs_compiler
 @pytest.mark.slow
 def test_an_fmu_runs_in_another_program(tmp_path):

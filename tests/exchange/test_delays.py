@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from casid import without_delay
+from casid.errors import DataWarning
+
+pytestmark = pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 
 OMEGA = np.geomspace(0.1, 20, 15)
 
@@ -53,3 +56,21 @@ def test_states_of_delays_have_names_of_their_own(system):
     plain = without_delay(late, pade=2)
     assert len(set(plain.states)) == plain.nx == 5
     assert plain.states[:3] == late.states
+
+
+@pytest.mark.parametrize("order", [1, 3, 10])
+def test_outputs_that_feel_steps_of_a_delayed_input_at_once_are_told(system, order):
+    late = replace(system, D=[[0.0, 0.0], [0.7, 0.3]], delay=[0.05, 0.0])
+    with pytest.warns(DataWarning, match="direct terms of delayed inputs, lat in r: a Padé"):
+        plain = without_delay(late, order)
+    # At the instant of a step, zero before it, the delayed input is still zero.
+    t, u = 0.001 * np.arange(100), np.zeros((100, 2))
+    u[1:, 0] = 1.0
+    found, exact = (each.simulate(t, u, hold="zoh")[1] for each in (plain, late))
+    np.testing.assert_allclose(np.abs(found - exact), [0.0, 0.7], atol=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+def test_direct_terms_of_inputs_that_are_not_late_are_not_told(system):
+    without_delay(replace(system, D=[[0.5, 0.0], [0.7, 0.0]], delay=[0.0, 0.05]), 3)
+    without_delay(replace(system, dt=0.05, delay=[0.05, 0.0]))

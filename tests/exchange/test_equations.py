@@ -8,6 +8,7 @@ import scipy.integrate
 from truths.climbing import AIRCRAFT
 
 from casid import (
+    DataWarning,
     NonlinearModel,
     Record,
     Scalar,
@@ -16,6 +17,8 @@ from casid import (
     simulate,
     without_delay,
 )
+
+pytestmark = pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 
 DEVIATE = np.array([0.02, 0.55])
 
@@ -88,6 +91,16 @@ def test_a_structure_of_one_state_has_equations():
     found = equations_of(Speed())
     np.testing.assert_allclose(found.derivatives(0.0, np.array([5.0]), np.array([2.0])), [1.5])
     np.testing.assert_allclose(found.measurements(0.0, np.array([5.0]), np.array([2.0])), [5.0])
+
+
+def test_a_structure_whose_outputs_feel_a_late_input_at_once_is_told():
+    with pytest.warns(DataWarning, match="direct terms of delayed inputs, lon in az: a Padé"):
+        equations_of(AIRCRAFT, 3)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_structure_whose_states_alone_feel_a_late_input_is_not_told():
+    assert equations_of(Speed(tau=0.3), 2).states == ("V", "thrust_1", "thrust_2")
 
 
 def test_a_delay_rests_at_an_input_that_is_not_zero():

@@ -13,6 +13,8 @@ from truths.systems import unstable_plant
 from casid import StateSpace, equations_of, without_delay, write_equations
 from models.longitudinal_aero import LongitudinalAero
 
+pytestmark = pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
+
 
 def as_matlab(text, x, u):
     """What MATLAB computes: the statements with Python's brackets and power."""

@@ -136,6 +136,7 @@ def test_an_index_of_time_deltas_is_time_in_seconds(record):
     np.testing.assert_allclose(from_dataframe(frame).t, 0.02 * np.arange(50), rtol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 def test_a_nonlinear_structure_becomes_a_system_of_python_control():
     there = to_control(AIRCRAFT, pade=2)
     assert there.input_labels == list(AIRCRAFT.inputs)
