@@ -44,7 +44,7 @@ from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.stiffness import MOST
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.ways import Ways, exact_outputs, warn_of_missed
-from casid.shooting.whiteness import warn_of_innovations
+from casid.shooting.whiteness import warn_of_followed, warn_of_innovations
 from casid.threads import one_thread
 
 Domain: TypeAlias = Literal["time", "frequency"]
@@ -164,8 +164,9 @@ class OutputError:
         fit = _result(model, free, outcome, time.perf_counter() - begin, steps)
         if not rough:
             warn_of_missed(outcome, self.interval)
-            if outcome.programme.evaluator.filtering:
-                warn_of_innovations(outcome.programme, outcome.solution.x)
+            filtering = outcome.programme.evaluator.filtering
+            told = warn_of_innovations if filtering else warn_of_followed
+            told(outcome.programme, outcome.solution.x)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:

@@ -9,7 +9,9 @@ Correlations of whitened innovations over the first lags tell, all outputs toget
 which is χ² of a degree of freedom a term if they are white (J. R. M. Hosking, The multivariate
 portmanteau statistic, J. Am. Stat. Assoc. 75, 1980). So they do at m = 0, of pairs a < b, where one
 gust drives several states that a filter takes for driven independently; and the sizes of records'
-innovations, where one flew in rougher air than another that shares its process noise.
+innovations, where one flew in rougher air than another that shares its process noise. Residuals of
+output error may be coloured, unless inputs come to follow them: what is simulated then knows some
+of the noise to come, and estimates are biased however long records are (`casid.subspace.feedback`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,8 +21,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from casid.arrays import Array
+from casid.display import listed
 from casid.errors import warn
+from casid.nonlinear.model import NonlinearModel
 from casid.shooting.programme import Programme
+from casid.subspace.feedback import followed
 
 LAGS = 10  # samples
 LEVEL = 1e-6  # of each test
@@ -113,4 +118,30 @@ def _uneven(residuals: Sequence[Array], names: Sequence[str]) -> str:
         f"those of {names[least]}: its air was rougher, or its sensors noisier, than one process "
         "noise and one R for all records say. The calm one counts for less than it knows, standard "
         "errors are too small: estimate together what was flown in like air"
+    )
+
+
+def warn_of_followed(programme: Programme, x: Array) -> None:
+    """Tell of coloured residuals of output error that go into inputs, at scaled variables x."""
+    model, records = programme.free.model, programme.evaluator.layout.records
+    linear = not isinstance(model, NonlinearModel)
+    direct = not linear or bool(model.system().D.any())
+    now = direct or any(record.hold == "foh" for record in records)
+    dt = max(record.dt for record in records)
+    coloured, followers = followed(whitened(programme, x), [r.u for r in records], dt, now=now)
+    if not followers.any():
+        return
+    outputs, inputs = (
+        listed([name for name, which in zip(names, found, strict=True) if which])
+        for names, found in ((model.outputs, coloured), (model.inputs, followers))
+    )
+    filtering = "process_noise=True (filter error)"
+    if not linear:
+        filtering += f" and {type(model).__name__}().at(trim), as a nonlinear structure has none"
+    warn(
+        f"output error: residuals are correlated in time ({outputs}), and later inputs ({inputs}) "
+        "follow them, as where a pilot or controller answers gusts. Output error takes inputs to "
+        "know nothing of residuals to come: parameters, delays above all, are biased by more than "
+        f"their standard errors. Estimate with {filtering}, or identify the closed loop "
+        "from its reference as the input"
     )

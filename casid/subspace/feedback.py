@@ -10,6 +10,11 @@ share follows from the one-step prediction errors e of a model with a stable pre
 ratio where v is white. Where it is not, as in turbulence, v is many times e at low frequency, and
 the share alone says whether there may be a bias (`casid.subspace.refining`), where it is more than
 chance makes of short records of slow inputs.
+
+Of residuals of a simulation, that an input comes to follow them shows in its future: it explains
+what its past and present, and the residuals' own past, leave of them (C. A. Sims, Money, income,
+and causality, Am. Econ. Rev. 62, 1972; with their past for colour: J. Geweke, R. Meese & W. Dent,
+J. Econometrics 21, 1983). What a structure misses is explained by the past of inputs.
 """
 
 from collections.abc import Sequence
@@ -18,7 +23,7 @@ import numpy as np
 import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace.predictor import Stack, triangular
@@ -29,6 +34,10 @@ LAGS = 25  # at most
 ENOUGH = 20_000  # samples looked at, shared by the records
 RARE = 0.05  # how often chance makes a share as large as is told beside it
 LEVEL = 1e-3  # of the tests for feedback and for a direct term
+SURE = 1e-6  # of that of residuals: what is not linear, a manoeuvre may repeat in its next input
+COLOUR = 0.1  # share of a residual's power that its past explains, below which it counts as white
+ROWS = 3.0  # samples for every regressor, at least
+EXACT = 1e-5  # share of a residual's power: the rest follows from inputs, it is no noise
 
 
 def fed_back_noise(
@@ -45,7 +54,7 @@ def fed_back(
     """Share of an input's power that prediction errors make, size of these, share by chance."""
     # The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
     # no sample is missing.
-    lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
+    lags = _lags(max(record.dt for record in records))
     ny, products, targets, errors = len(sy), [], [], []
     most = ENOUGH // len(records) + 1
     for record in (r if most >= r.N else r.cut(r.t[0], r.t[most]) for r in records):
@@ -72,6 +81,71 @@ def fed_back(
     fed = np.max(1 - left / (power / N))
     noise = float(np.mean(np.std(np.vstack(errors), axis=0)))
     return max(float(fed), 0.0), noise, _by_chance(targets, lags, ny) * size / N
+
+
+def _lags(dt: float) -> int:
+    """Samples after an error in which its way through the controller is looked for."""
+    return min(LAGS, max(int(MEMORY / dt), 2))
+
+
+def followed(
+    residuals: Sequence[Array], inputs: Sequence[Array], dt: float, *, now: bool
+) -> tuple[BoolArray, BoolArray]:
+    """Which residuals are coloured, (ny,), and which inputs follow some of these, (nu,).
+
+    Of residuals (N, ny), 0 where missing, and inputs (N, nu) of every record, sampled every ``dt``
+    seconds; ``now`` says that inputs act in their own sample. White residuals are followed without
+    harm: what is simulated knows the past of its inputs only. None of either where records are too
+    short to tell.
+    """
+    ny, nu = residuals[0].shape[1], inputs[0].shape[1]
+    followers, most, each = np.zeros(nu, dtype=bool), _lags(dt), 2 * ny + 4 * nu
+    for lags in (most, most // 2, most // 4):
+        rows = sum(max(len(u) - 3 * lags, 0) for u in inputs)
+        if lags and rows >= ROWS * lags * each:
+            break
+    else:
+        return np.zeros(ny, dtype=bool), followers
+    pairs = zip(residuals, inputs, strict=True)
+    columns = [np.hstack([_centred(r, r != 0), _centred(u, np.isfinite(u))]) for r, u in pairs]
+    size = np.sqrt(np.sum([np.sum(z**2, axis=0) for z in columns], axis=0) / rows)
+    size = np.where(size > 0, size, 1.0)
+    long = [z / size for z in columns if len(z) > 3 * lags]
+    G = np.sum([lagged_products(z, 3 * lags) for z in long], axis=0)
+    lag, channel = np.divmod(np.arange(len(G)), ny + nu)  # the sample itself is at lag ``lags``
+    target, later = (channel < ny) & (lag == lags), lag < lags + (not now)
+    past = (channel >= ny) & ~later
+    own = past | (channel < ny) & (lag > lags)
+    first, second = (np.diag(_left(G, target, x)) for x in (past, own))
+    coloured = _coloured(first, second, rows - int(own.sum()), int(own.sum() - past.sum()))
+    target[target] = coloured
+    for j in range(nu) if coloured.any() else ():
+        more = later & (channel == ny + j)
+        before, after = (np.linalg.slogdet(_left(G, target, x))[1] for x in (own, own | more))
+        n, m = target.sum(), more.sum()
+        freedom = rows - own.sum() - (n + m + 1) / 2  # Bartlett's
+        followers[j] = freedom * (before - after) > scipy.special.chdtri(n * m, SURE / nu)
+    return coloured, followers
+
+
+def _coloured(first: Array, second: Array, freedom: int, more: int) -> BoolArray:
+    """Whether squares of residuals (ny,) are much less with ``more`` regressors, of their past."""
+    alive = second > EXACT * freedom
+    ratio = np.where(alive, first, 1.0) / np.where(alive, second, 1.0)
+    much = ratio * freedom / (freedom + more) > 1 / (1 - COLOUR)
+    return np.asarray(much & (freedom * np.log(ratio) > scipy.special.chdtri(more, SURE)))
+
+
+def _left(G: Array, target: BoolArray, known: BoolArray) -> Array:
+    """Products of what ``known`` regressors leave of the ``target``, of products G of all."""
+    inner = G[np.ix_(known, known)] + 1e-10 * G.max() * np.eye(known.sum())
+    outer = G[np.ix_(known, target)]
+    return np.asarray(G[np.ix_(target, target)] - outer.T @ np.linalg.solve(inner, outer))
+
+
+def _centred(x: Array, seen: BoolArray) -> Array:
+    """Without the mean of what is ``seen``; 0 elsewhere."""
+    return np.where(seen, x - x.sum(axis=0) / np.maximum(seen.sum(axis=0), 1), 0.0)
 
 
 def _by_chance(inputs: Sequence[Array], lags: int, ny: int) -> float:

@@ -8,7 +8,7 @@ import scipy.linalg
 import scipy.signal
 import scipy.stats
 
-from casid import DataWarning, Model, Record, Scalar, output_error, parameter
+from casid import DataWarning, Model, NonlinearModel, Record, Scalar, output_error, parameter
 from casid.shooting.whiteness import LAGS, correlations
 
 DT, LAG = 0.1, 6.0  # s; of samples and gusts
@@ -166,3 +166,96 @@ def test_a_record_in_rougher_air_is_told_and_chance_is_not():
     ):
         output_error(Lags(), [driven(1, 0.3 * TWO), driven(2, 3 * TWO)], process_noise=True)
     output_error(Lags(), [driven(1, TWO, 60), driven(2, 1.2 * TWO, 500)], process_noise=True)
+
+
+class Roll(Model):
+    """Rolling with a delay of its stick."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
+
+    Lp: Scalar = parameter(default=-2.5, lower=-20.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=10.0, lower=0.0, upper=100.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.06, lower=0.0, upper=0.3, unit="s")
+
+    def A(self):
+        return [[self.Lp, 0], [1, 0]]
+
+    def B(self):
+        return [[self.Llat], [0]]
+
+    def delays(self):
+        return {"lat": self.tau}
+
+
+def rolled(seed, gust, gain, *, lag=0.0, wait=0, noise=0.01, N=750, h=0.04):
+    """Pulses on the stick of an exactly sampled roll with white gusts on p; a lag nobody models."""
+    rng, half = np.random.default_rng(seed), h / 2
+    A = np.array([[-2.5, 0, 10.0], [1, 0, 0], [0, 0, -1 / lag if lag else 0.0]])
+    B = np.array([[0.0], [0.0], [1 / lag]]) if lag else np.array([[10.0], [0.0], [0.0]])
+    A[0, 2] *= bool(lag)
+    whole = scipy.linalg.expm(np.block([[A, B], [np.zeros((1, 4))]]) * half)
+    spread = scipy.linalg.expm(
+        np.block([[-A, np.diag([gust, 0, 0])], [np.zeros((3, 3)), A.T]]) * half
+    )
+    Q = whole[:3, :3] @ spread[:3, 3:]
+    root = np.linalg.cholesky((Q + Q.T) / 2 + 1e-18 * np.eye(3))
+    test, k = np.zeros(N), 50
+    while k < N:
+        k, start = k + rng.integers(8, 50), k
+        test[start:k] = 0.08 * rng.choice([-1, 0, 1])
+    x, u, y, late = np.zeros(3), np.zeros(N), np.zeros((N, 2)), [0.0] * 4  # 60 ms
+    for k in range(N):
+        y[k] = x[:2] + noise * rng.standard_normal(2)
+        u[k] = test[k] - y[max(k - wait, 0)] @ gain
+        for _ in range(2):
+            late = [*late[1:], u[k]]
+            x = whole[:3, :3] @ x + whole[:3, 3] * late[0] + root @ rng.standard_normal(3)
+    return Record(h * np.arange(N), u[:, None], y, ("lat",), ("p", "phi"), f"{seed}", "zoh")
+
+
+FOLLOWED = r"residuals are correlated in time \(p, phi\), and later inputs \(lat\) follow them"
+
+
+@pytest.mark.slow
+def test_gusts_that_are_fed_back_are_told_and_a_filter_is_the_remedy():
+    records = [rolled(seed, 0.02, [0.1, 0.3]) for seed in range(1, 5)]
+    with pytest.warns(DataWarning, match=FOLLOWED + r".*process_noise=True \(filter error\), or"):
+        biased = output_error(Roll(), records)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit = output_error(Roll(), records, process_noise=True)
+    assert biased["tau"].value > 0.06 + 3 * biased["tau"].std_error
+    for row, true in zip(fit.parameters, Roll().vector(), strict=True):
+        assert abs(row.value - true) < 3 * row.std_error
+
+
+@pytest.mark.parametrize(
+    ("gust", "gain", "lag"),
+    [(0.02, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.12), (0.0, 1.0, 0.12)],
+    ids=["gusts in open loop", "white noise fed back", "a lag is missed", "in closed loop"],
+)
+def test_neither_gusts_nor_feedback_nor_what_is_missed_is_told_alone(gust, gain, lag):
+    records = [rolled(seed, gust, [0.1 * gain, 0.3 * gain], lag=lag) for seed in (1, 2)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        output_error(Roll(), records)
+    assert not [each for each in caught if "follow them" in str(each.message)]
+
+
+class RollingFreely(NonlinearModel):
+    """The same, written as a nonlinear structure, without the delay."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
+
+    Lp: Scalar = parameter(default=-2.5, lower=-20.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=10.0, lower=0.0, upper=100.0, unit="rad/s^2")
+
+    def derivatives(self, x, u):
+        return [self.Lp * x.p + self.Llat * u.lat, x.p]
+
+
+def test_a_nonlinear_structure_is_told_its_way_to_a_filter():
+    records = [rolled(seed, 0.02, [0.1, 0.3], wait=1) for seed in (1, 2)]
+    told = FOLLOWED + r".*process_noise=True \(filter error\) and RollingFreely\(\)\.at\(trim\)"
+    with pytest.warns(DataWarning, match=told):
+        output_error(RollingFreely(), records)

@@ -11,6 +11,7 @@ from casid.subspace.feedback import (
     direct_term_is_ambiguous,
     fed_back,
     fed_back_noise,
+    followed,
     prediction_errors,
 )
 
@@ -190,3 +191,60 @@ def test_feedback_is_looked_for_from_two_samples_a_coefficient_on():
         record = Record(2.0 * np.arange(N), u, y, ("u",), tuple("abcd"), hold="zoh")
         _, size, _ = fed_back(system, np.zeros((1, 4)), [record], np.ones(1), np.ones(4))
         assert 0.6 < size < 1.2  # white errors, less what five inputs explain of them
+
+
+def residuals_of(seed, *, colour=0.95, gain=0.0, missed=0.0, N=900, lost=0.0):
+    """Two records of v(k) = c v(k-1) + e(k), and what a structure misses of two slow inputs.
+
+    The first input follows v of two outputs one sample later; a pattern repeats in the second.
+    """
+    rng, residuals, inputs = np.random.default_rng(seed), [], []
+    for _ in range(2):
+        e = rng.standard_normal((N, 2))
+        v = scipy.signal.lfilter([1.0], [1.0, -colour], e, axis=0)
+        outside = scipy.signal.lfilter([1.0], [1.0, -0.97], rng.standard_normal(N))
+        u = np.column_stack([outside, 3.0 * np.sign(np.sin(np.arange(N) / 15.0))])
+        u[1:, 0] += gain * v[:-1].sum(axis=1)
+        r = v + missed * scipy.signal.lfilter([0.1, 0.1], [1.0, -1.6, 0.8], u, axis=0)
+        residuals.append(np.where(rng.random(r.shape) < lost, 0.0, r))
+        inputs.append(u)
+    return residuals, inputs
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.2])
+def test_an_input_that_follows_coloured_residuals_is_told_of_the_others(lost):
+    for seed in range(5):
+        coloured, followers = followed(*residuals_of(seed, gain=1.0, lost=lost), 0.04, now=True)
+        assert coloured.tolist() == [True, True]
+        assert followers.tolist() == [True, False]
+
+
+def test_white_residuals_may_be_followed():
+    for seed in range(5):
+        coloured, followers = followed(*residuals_of(seed, colour=0.0, gain=0.5), 0.04, now=True)
+        assert not coloured.any()
+        assert not followers.any()
+
+
+@pytest.mark.parametrize("now", [False, True])
+@pytest.mark.parametrize("missed", [0.0, 1.0])
+def test_no_input_follows_residuals_of_open_loop(missed, now):
+    for seed in range(15):
+        found = residuals_of(seed, missed=missed, lost=0.1 * (seed % 2))
+        assert not followed(*found, 0.04, now=now)[1].any()
+
+
+def test_dynamics_that_are_missed_follow_from_inputs_and_are_no_noise():
+    residuals, inputs = residuals_of(0, missed=1.0, gain=0.1)
+    noise, _ = residuals_of(0, gain=0.1)
+    missed = [r - v for r, v in zip(residuals, noise, strict=True)]
+    coloured, followers = followed(missed, inputs, 0.04, now=True)
+    assert not coloured.any()
+    assert not followers.any()
+
+
+def test_records_too_short_tell_no_follower():
+    short = residuals_of(0, gain=0.1, N=40)
+    assert not np.any(np.hstack(followed(*short, 0.04, now=True)))
+    fewer = residuals_of(0, gain=0.3, N=250)  # fewer lags are looked at
+    assert followed(*fewer, 0.02, now=True)[1].tolist() == [True, False]
