@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
+from casid.display import listed
 from casid.embedding import StructureError
 from casid.errors import warn
 from casid.fit import AnyFit
@@ -14,13 +15,15 @@ from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
 
 STEP = 1e-3  # of a standard error
+NEAR = 1e-3  # of the way from its start: what is on a bound and not held elsewhere
 
 
 def sample_models(fit: "AnyFit", count: int, *, seed: int = 0) -> tuple[Model, ...]:
     """Models drawn from the normal distribution of a fit's errors, each within its bounds.
 
-    Those of a nonlinear structure's fit are nonlinear: what takes linear ones, as `cover` does,
-    sees each at its reference condition unless given ``model.at(trim)`` of each.
+    Parameters on a bound do not move. Models of a nonlinear structure's fit are nonlinear: what
+    takes linear ones, as `cover` does, sees each at its reference condition unless given
+    ``model.at(trim)`` of each.
 
     Parameters
     ----------
@@ -97,7 +100,8 @@ def first_order(
 def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
     """Free parameters and their covariance; those on a bound do not move.
 
-    A `DataWarning` names those that have none because nothing determines them.
+    A `DataWarning` names those that have none because nothing determines them, and those that the
+    structure's own bounds hold.
     """
     if fit.covariance is None:
         raise ValueError(
@@ -110,9 +114,31 @@ def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
             f"the data do not determine {', '.join(np.array(fit.free_names)[unknown])}, which "
             "count as known here: what depends on them lacks their part of its error; fix some"
         )
+    if said := known_by_bounds(fit):
+        warn(said)
     C = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
     C[held], C[:, held] = 0.0, 0.0
     return fit.free_names, C
+
+
+def known_by_bounds(fit: AnyFit) -> str:
+    """What to say of free parameters that bounds of the structure hold; empty without any.
+
+    Bounds that were asked for of a fit are hypotheses, under which what they hold is known.
+    """
+    infos, held = type(fit.model).infos(), []
+    for row in (fit[name] for name in fit.free_names if fit[name].active):
+        side = "lower" if row.value - row.lower < row.upper - row.value else "upper"
+        bound = getattr(row, side)
+        away = max(abs(row.guess - bound), abs(bound))  # ties hold others, away from their bounds
+        near = abs(row.value - bound) <= np.fmax(NEAR * away, row.insensitivity)
+        if near and bound == getattr(infos[row.name], side):
+            held.append(f"{row.name} = {row.value:.3g}")
+    counts = "counts as known exactly" if len(held) == 1 else "count as known exactly"
+    return (
+        f"{listed(held)}, on a bound of the structure, {counts}: what depends on it lacks what the "
+        "data allow within the bound; fits with it fixed there (fixed) and their costs tell"
+    ) * bool(held)
 
 
 def _with(model: M, names: Sequence[str], values: Array) -> M:
