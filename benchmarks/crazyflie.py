@@ -18,9 +18,9 @@ import numpy as np
 
 from benchmarks import peers
 from casid import StateSpace, output_error, read_study, validate
+from casid.closeness import fit_percent
 from casid.prediction import prediction_plan
 from casid.studies.study import read_records
-from casid.validation import fit_percent
 
 STUDY = Path(__file__).resolve().parents[1] / "examples/crazyflie/study.toml"
 OUTPUTS = ("p", "q", "phi", "theta")

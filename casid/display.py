@@ -7,6 +7,12 @@ from importlib import import_module
 from typing import Any, TextIO
 
 
+def digits_beside_one(value: float, least: int) -> int:
+    """How many digits of a number show on which side of 1 it is."""
+    known = (n for n in range(least, 18) if (float(f"{value:.{n}g}") > 1) == (value > 1))
+    return next(known, least)
+
+
 def counted(n: int, one: str, many: str = "") -> str:
     """A number with its noun: 1 gap, 3 gaps."""
     return f"{n} {one if n == 1 else many or one + 's'}"

@@ -95,16 +95,24 @@ def noises(steps: Steps, C: Array, y: Array, scale: Array) -> tuple[Array, Array
 
 
 def filter_states(
-    steps: Steps, C: Array, y: Array, t: Array, scale: Array, at: Collection[int]
+    steps: Steps,
+    C: Array,
+    y: Array,
+    t: Array,
+    scale: Array,
+    at: Collection[int],
+    biased: BoolArray | None = None,
 ) -> Iterator[FilterState]:
     """What is known at each of the samples, in order, from the outputs (N, ny) up to it.
 
-    NaN is missing; C is (ny, nx) or (N, ny, nx). What comes after a sample is read when the next
-    is asked for: whoever linearises may set it on the way.
+    NaN is missing; C is (ny, nx) or (N, ny, nx). All outputs have a bias, unless it is said which
+    (ny,) are ``biased``. What comes after a sample is read when the next is asked for: whoever
+    linearises may set it on the way.
     """
     C = np.broadcast_to(C, (len(t), *C.shape[-2:]))
     q, r = noises(steps, C[0], y[: max(at) + 1], scale)
     (ny, nx), unit = C.shape[1:], np.diff(t) / np.median(np.diff(t))
+    constant = np.eye(ny) if biased is None else np.diag(biased.astype(float))
     bank = _Bank(q, r)
     X = np.zeros((len(LEVELS), nx, 1 + nx + ny))  # states: of inputs and outputs, and by z
     X[:, :, 1 : 1 + nx] = np.eye(nx)
@@ -114,7 +122,7 @@ def filter_states(
         K, W, size = bank.update(C[k], seen)
         E = -C[k] @ X
         E[:, :, 0] += np.where(seen, y[k] - steps.direct[k], 0.0)
-        E[:, :, 1 + nx :] -= np.eye(ny)
+        E[:, :, 1 + nx :] -= constant
         X = X + K @ E
         white = W @ E
         moments = moments + white.transpose(0, 2, 1) @ white

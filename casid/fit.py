@@ -162,6 +162,14 @@ class Fit(Shown, Generic[M_co, N_co]):
     def __post_init__(self) -> None:
         seal(self)
 
+    @property
+    def unbiased(self) -> tuple[str, ...]:
+        """Outputs that the estimation gave no bias of a record; () of one that has none at all."""
+        if self.biases is None or not len(self.biases):
+            return ()
+        pairs = zip(self.model.outputs, np.any(self.biases, axis=0).tolist(), strict=True)
+        return tuple(name for name, has in pairs if not has)
+
     def __getitem__(self, name: str) -> ParameterEstimate:
         """Row of one parameter."""
         for row in self.parameters:

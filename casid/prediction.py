@@ -157,18 +157,21 @@ def predict(
 ) -> Prediction:
     """Outputs of a model over a record; ``scale`` (ny,) weighs them, the intervals must agree.
 
-    A simulation has a bias of every output, unless it is said which are ``biased``.
+    Every output has a bias, unless it is said which are ``biased``.
     """
-    follower = RecordPredictor(system, record, scale)
+    follower = RecordPredictor(system, record, scale, biased)
     if np.isinf(far.horizon):
-        names = [record.outputs[i] for i in follower.shared]
-        own = np.array([biased is None or name in biased for name in names])
-        states, bias, taken = follower.estimate(own)
+        states, bias, taken = follower.estimate()
         y = follower.outputs(states, 0) + bias
         found = Prediction(y, states[0], bias, states, taken=taken)
     else:
         found = follower.pieces(far)
     return found.placed(np.array(follower.shared), record.ny)
+
+
+def which_biased(outputs: Sequence[str], biased: Collection[str] | None) -> BoolArray:
+    """Which outputs (ny,) have a bias: all, unless it is said which."""
+    return np.array([biased is None or name in biased for name in outputs], dtype=bool)
 
 
 class RecordPredictor:
@@ -177,8 +180,15 @@ class RecordPredictor:
     origin: Array  # (nx,) state that the filters count from
     steps: Steps
     C: Array  # (N, ny, nx)
+    biased: BoolArray  # (ny,) outputs with a bias
 
-    def __init__(self, system: StateSpace, record: Record, scale: Array) -> None:
+    def __init__(
+        self,
+        system: StateSpace,
+        record: Record,
+        scale: Array,
+        biased: Collection[str] | None = None,
+    ) -> None:
         self.shared = [i for i, name in enumerate(record.outputs) if name in system.outputs]
         rows = [system.outputs.index(record.outputs[i]) for i in self.shared]
         u = record.u[:, [record.inputs.index(channel) for channel in system.inputs]]
@@ -187,6 +197,7 @@ class RecordPredictor:
         self.C = np.broadcast_to(system.C[rows], (record.N, len(rows), system.nx))
         self.origin = np.zeros(system.nx)
         self.t, self.y, self.scale = record.t, record.y[:, self.shared], scale[self.shared]
+        self.biased = which_biased([record.outputs[i] for i in self.shared], biased)
 
     def pieces(self, far: PredictionPlan) -> Prediction:
         """Predictions from each start to the next, each from what is known there."""
@@ -268,17 +279,16 @@ class RecordPredictor:
 
     def known(self, starts: Sequence[int]) -> Iterator[filtering.FilterState]:
         """Filtered states at each of these samples, from the record up to it."""
-        return filtering.filter_states(self.steps, self.C, self.y, self.t, self.scale, starts)
+        return filtering.filter_states(
+            self.steps, self.C, self.y, self.t, self.scale, starts, self.biased
+        )
 
-    def estimate(self, biased: BoolArray) -> tuple[Array, Array, Array]:
-        """States (N, nx) and biases that suit all measurements best, and freedom (ny,) they take.
-
-        Outputs that are not ``biased`` (ny,) have a bias of zero.
-        """
+    def estimate(self) -> tuple[Array, Array, Array]:
+        """States (N, nx) and biases that fit all measurements best, and freedom (ny,) they take."""
         states = self._states()
         response = self.C[0] @ states  # (N, outputs shared, 1 + nx)
         residual = self.y - response[:, :, 0] - self.steps.direct
-        z, bias, taken = _fit_unknowns(residual, response[:, :, 1:], self.scale, biased)
+        z, bias, taken = _fit_unknowns(residual, response[:, :, 1:], self.scale, self.biased)
         return states[:, :, 0] + states[:, :, 1:] @ z, bias, taken
 
     def _states(self) -> Array:

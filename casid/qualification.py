@@ -16,7 +16,7 @@ import scipy
 from casid.arrays import Array, BoolArray
 from casid.channels import MEASURES, UNITS, factor_of
 from casid.checks import check_known
-from casid.display import Shown, listed
+from casid.display import Shown, digits_beside_one, listed
 from casid.validation import Validation, judged_samples
 
 SOURCE = "14 CFR Part 60, Appendix C, Table C2A, entries 2.b.3 and 2.c.1"
@@ -93,6 +93,18 @@ class Qualification(Shown):
         return np.asarray(self.largest <= 1.0)
 
     @property
+    def offset(self) -> Array:
+        """Size of the fitted constants over half the width at trim, (records, outputs)."""
+        columns = [self.validation.outputs.index(name) for name in self.outputs]
+        size = np.abs(self.validation.biases[self.model][:, columns])
+        return np.asarray(size / [band.least for band in self.tolerances])
+
+    @property
+    def excused(self) -> BoolArray:
+        """What passed with a constant beyond the tolerance, (records, outputs)."""
+        return np.asarray(self.passed & (self.offset > 1))
+
+    @property
     def unjudged(self) -> tuple[str, ...]:
         """Outputs without a tolerance."""
         return tuple(name for name in self.validation.outputs if name not in self.outputs)
@@ -115,10 +127,12 @@ class Qualification(Shown):
     def headline(self) -> str:
         """Passed, failed, and what could not be judged."""
         judged, told = ~np.isnan(self.largest), ""
-        if failed := self.named(judged & ~self.passed, " ({:.3g})"):
+        if failed := self.named(judged & ~self.passed, figure=True):
             told += f"; failed: {listed(failed)}"
         if noisy := self.named(self.chance < EVEN):
             told += f"; noise alone may leave the band: {listed(noisy)}"
+        if moved := self.named(self.excused):
+            told += f"; passed with a constant beyond the tolerance: {listed(moved)}"
         if self.still:
             told += f"; nothing leaves the band of trim in {listed(self.still)}"
         if none := self.named(~judged):
@@ -127,10 +141,11 @@ class Qualification(Shown):
             told += f"; no such output: {listed(self.idle)}"
         return f"{self.model}: {int(self.passed.sum())} of {int(judged.sum())} passed{told}"
 
-    def named(self, those: BoolArray, figure: str = "") -> tuple[str, ...]:
+    def named(self, those: BoolArray, *, figure: bool = False) -> tuple[str, ...]:
         """Outputs of records, (records, outputs), in words, with their largest errors if asked."""
         return tuple(
-            f"{self.outputs[j]} of {self.records[i]}{figure.format(self.largest[i, j])}"
+            f"{self.outputs[j]} of {self.records[i]}"
+            + f" ({self.largest[i, j]:.{digits_beside_one(self.largest[i, j], 3)}g})" * figure
             for i, j in zip(*np.nonzero(those), strict=True)
         )
 

@@ -10,12 +10,13 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray
+from casid.closeness import BAND
 from casid.display import Shown, listed
 from casid.records import Records, same_channels, stretches
 from casid.samples import known_mean
 from casid.threads import one_thread
 from casid.unexplained import unexplained
-from casid.validation import BAND, AnyModel, validate
+from casid.validation import AnyModel, validate
 
 LAGS = 25  # usual in the field
 WIDE = 0.5  # correlation: where the band is wider, hardly any can leave it

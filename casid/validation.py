@@ -8,13 +8,15 @@ A model is simulated over each record; where one grows too much over it, all are
 piece, over a horizon that the result states (`casid.prediction`); a nonlinear one in totals.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.checks import check_known
+from casid.closeness import fit_percent, rms_error, theil_coefficient, whiteness
 from casid.display import Shown, counted, listed
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
@@ -32,13 +34,9 @@ from casid.prediction import (
 )
 from casid.record import Record
 from casid.records import Records, datum, same_channels, standard_deviations, stretches
-from casid.samples import autocorrelation, root_mean_square
 from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
-
-LAGS = 40  # largest lag of the whiteness test
-BAND = 2.5758293035489004  # 99 % band of a white sequence's autocorrelations, in 1/√N
 
 AnyModel = Model | AnyFit | BlackBox | StateSpace
 
@@ -73,7 +71,7 @@ class Validation(Shown):
     initial_states : mapping to tuple of (nx,) array
         Estimated state at the first sample; meaningless where a mode leaves no trace in the record.
     biases : mapping to (records, ny) array
-        Estimated constant of each output, the mean over all predictions.
+        Estimated constant of each output, the mean over all predictions; of `unbiased` ones zero.
     horizon : tuple of float
         How far ahead models were predicted in each record [s], each time from a state estimated on
         the past alone, whose error colours all of the piece; infinite where they were simulated
@@ -87,6 +85,8 @@ class Validation(Shown):
         Rate [1/s] of each model's fastest growing mode; 0 of a stable one.
     closed_loop : bool
         Whether inputs ahead were taken for answers that keep outputs bounded.
+    unbiased : tuple of str
+        Outputs of which no model was given a constant.
 
     A model that lacks an output has NaN there, and so have all models before the first prediction.
     """
@@ -109,6 +109,7 @@ class Validation(Shown):
     known: Mapping[str, tuple[str, ...]]
     growth: Mapping[str, float]
     closed_loop: bool = False
+    unbiased: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """Models, records, mean fit over outputs and records."""
@@ -161,6 +162,7 @@ def validate(
     *,
     horizon: float | None = None,
     closed_loop: bool = False,
+    biases: bool | Collection[str] | None = None,
 ) -> Validation:
     """Simulate or predict each model on each record and measure what is left.
 
@@ -185,6 +187,10 @@ def validate(
         record, so that inputs ahead tell of disturbances ahead. Without, an unstable model makes
         of these whatever grows, true or not. With it growing modes that are not there are
         largely excused: judge modes without.
+    biases : bool, or collection of str
+        Whether a constant of each output, or of which, is estimated from every record, for all
+        models alike. Unless given, of all but those that a fit among them was estimated without,
+        ``OutputError(biases=False)``: an offset of the model is an error there.
 
     Raises
     ------
@@ -200,12 +206,15 @@ def validate(
     inputs, outputs = same_channels(records)
     scale = standard_deviations(records)[1]
     systems = {name: state_space(model) for name, model in models.items()}
+    biased = _biased(biases, models, outputs)
     for name, system in systems.items():
-        _check(name, system, records)
+        _check(name, system, records, biased)
     every = list(systems.values())
     far = [prediction_plan(every, record, horizon, closed_loop) for record in records]
     predictions = {
-        name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
+        name: [
+            _predicted(name, model, *each, scale, biased) for each in zip(records, far, strict=True)
+        ]
         for name, model in models.items()
     }
     _tell_beyond(models, predictions)
@@ -228,10 +237,26 @@ def validate(
         known=known,
         growth={name: growth_rate(system) for name, system in systems.items()},
         closed_loop=closed_loop,
+        unbiased=tuple(name for name in outputs if name not in biased),
     )
 
 
-def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
+def _biased(
+    wanted: bool | Collection[str] | None, models: Mapping[str, AnyModel], outputs: Sequence[str]
+) -> Collection[str]:
+    """Outputs that have a constant in every record, as said or as fits were estimated."""
+    if wanted is None:
+        without = {n for each in models.values() if isinstance(each, Fit) for n in each.unbiased}
+        return tuple(name for name in outputs if name not in without)
+    if isinstance(wanted, bool):
+        return outputs if wanted else ()
+    check_known("bias of unknown output", wanted, outputs)
+    return wanted
+
+
+def _check(
+    name: str, system: StateSpace, records: Sequence[Record], biased: Collection[str]
+) -> None:
     """Refuse a model that cannot be simulated on the records."""
     for letter in "ABCD":
         if not np.isfinite(getattr(system, letter)).all():
@@ -250,7 +275,7 @@ def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
     for record in records:  # initial state and biases would follow whatever was measured
         shared = [i for i, output in enumerate(record.outputs) if output in system.outputs]
         measured = int(np.sum(np.isfinite(record.y[:, shared])))
-        unknowns = system.nx + len(shared)
+        unknowns = system.nx + sum(record.outputs[i] in biased for i in shared)
         if measured < PER_UNKNOWN * unknowns:
             raise ValueError(
                 f"model {name!r}, record {record.name!r}: {counted(measured, 'measurement')} for "
@@ -260,14 +285,19 @@ def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
 
 
 def _predicted(
-    name: str, model: AnyModel, record: Record, far: PredictionPlan, scale: Array
+    name: str,
+    model: AnyModel,
+    record: Record,
+    far: PredictionPlan,
+    scale: Array,
+    biased: Collection[str],
 ) -> Prediction:
     structure = model.model if isinstance(model, Fit) else model
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # the measures tell of what runs away
             if isinstance(structure, NonlinearModel):
-                return predict_nonlinear(structure, record, scale, far)
-            return predict(state_space(model), record, scale, far)
+                return predict_nonlinear(structure, record, scale, far, biased)
+            return predict(state_space(model), record, scale, far, biased)
     except ValueError as error:
         raise ValueError(f"model {name!r}, record {record.name!r}: {error}") from error
 
@@ -333,7 +363,7 @@ def _measured(
     relative = {"fit": fit_percent, "theil": theil_coefficient}
     found = {
         what: {name: _each(measure, records, ys, asked[name]) for name, ys in simulated.items()}
-        for what, measure in ({"rms": rms_error, "whiteness": _whiteness} | relative).items()
+        for what, measure in ({"rms": rms_error, "whiteness": whiteness} | relative).items()
     }
     lost = np.array([np.greater(*each) for each in map(movement, records, begins)])
     for name, rms in found["rms"].items():  # relative to what they miss, these would say nothing
@@ -366,35 +396,3 @@ def measures(validation: Validation, model: str, i: int) -> tuple[float, float, 
     if np.isfinite(rms) and before > after:
         return rms, np.nan, np.nan
     return rms, fit_percent(y, y_model), theil_coefficient(y, y_model)
-
-
-def rms_error(y: Array, y_model: Array) -> float:
-    """Root of the mean squared error."""
-    return root_mean_square(y - y_model)
-
-
-def fit_percent(y: Array, y_model: Array) -> float:
-    """100 (1 - ‖y - ŷ‖/‖y - mean y‖); NaN for an output that does not move."""
-    error, spread = rms_error(y, y_model), root_mean_square(y - y.mean())
-    if np.isinf(error):
-        return -np.inf
-    return 100 * (1 - error / spread) if spread > 0 else np.nan
-
-
-def theil_coefficient(y: Array, y_model: Array) -> float:
-    """RMS error over the sum of both RMS values; NaN for an output that is zero."""
-    error, size = rms_error(y, y_model), root_mean_square(y) + root_mean_square(y_model)
-    if np.isinf(error):
-        return 1.0
-    return error / size if size > 0 else np.nan
-
-
-def _whiteness(y: Array, y_model: Array) -> float:
-    """Share of a residual's autocorrelations inside the band; NaN of one that rests."""
-    if np.isinf(rms_error(y, y_model)):
-        return 0.0
-    e = y - y_model
-    lags = min(LAGS, len(e) // 4)
-    if lags < 1 or np.ptp(e) == 0:
-        return np.nan
-    return float(np.mean(np.abs(autocorrelation(e, lags)[1:]) <= BAND / np.sqrt(len(e))))

@@ -4,11 +4,12 @@ import io
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from truths.shown import record, values
 
 from casid import CampaignProgress, Progress, ProgressLine
-from casid.display import counted, listed
+from casid.display import counted, digits_beside_one, listed
 
 
 @pytest.mark.parametrize("name", list(values()))
@@ -45,6 +46,14 @@ def test_neither_a_value_nor_its_line_loads_matplotlib():
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.12345, "0.12"), (1.0, "1"), (1.004, "1.004"), (1.2, "1.2"), (np.inf, "inf")],
+)
+def test_a_number_beside_one_shows_its_side(value, text):
+    assert f"{value:.{digits_beside_one(value, 2)}g}" == text
 
 
 def test_nouns_follow_their_numbers():

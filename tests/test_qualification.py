@@ -43,6 +43,23 @@ def test_a_model_passes_until_its_error_leaves_the_band():
     assert "0 of 1 passed; failed: p of step" in repr(wrong)
 
 
+def test_a_constant_larger_than_the_tolerance_is_told():
+    y = flown().measured[0].y + 5 * DEG
+    found = qualify(flown(y=y), tolerances={"p": "3 deg/s"})
+    assert found.passed.all()
+    assert found.offset[0, 0] == pytest.approx(5 / 3)
+    assert "passed with a constant beyond the tolerance: p of step" in found.headline()
+    assert "constant" not in qualify(flown(y=y), tolerances={"p": "6 deg/s"}).headline()
+
+
+def test_a_figure_beside_one_shows_on_which_side_it_is():
+    seen = flown(gain=2.5)
+    error = np.abs(seen.simulated["m"][0] - seen.measured[0].y).max() / DEG
+    found = qualify(seen, tolerances={"p": f"{error / 1.0004:.9f} deg/s"})
+    assert "failed: p of step (1.0004)" in found.headline()
+    assert summary(found).splitlines()[-1].endswith("| FAIL 1.0004 |")
+
+
 def test_a_record_in_which_nothing_moves_is_named():
     moved, rest = flown(), flown(0.0, np.full((500, 1), 2.9 * DEG))
     assert qualify(moved).still == ()
@@ -114,10 +131,12 @@ def test_an_output_that_the_model_lacks_or_that_nobody_measured_is_not_judged():
     has = StateSpace([[-2.0]], [[4.0]], [[1.0]] * 2, [[0.0]] * 2, None, ("lat",), ("p", "phi"))
     seen = validate({"lacks": lacks, "has": has}, records)
     rest = "; nothing leaves the band of trim in whole, part"
-    told = f"lacks: 2 of 2 passed{rest}; not judged: phi of whole, phi of part"
+    off = "; passed with a constant beyond the tolerance: p of whole, p of part"
+    told = f"lacks: 2 of 2 passed{off}{rest}; not judged: phi of whole, phi of part"
     assert qualify(seen, "lacks").headline() == told
     found = qualify(seen, "has")
-    assert found.headline() == f"has: 3 of 3 passed{rest}; not judged: phi of part"
+    off = off.replace(", p of", ", phi of whole, p of")
+    assert found.headline() == f"has: 3 of 3 passed{off}{rest}; not judged: phi of part"
     assert summary(found).splitlines()[-1].endswith("| not judged |")
     nothing = qualify(seen, "lacks", {"phi": "3 deg"}).headline()
     assert nothing == "lacks: 0 of 0 passed; not judged: phi of whole, phi of part"

@@ -20,7 +20,7 @@ from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution, Job
 from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
-from casid.prediction import PredictionPlan, predict
+from casid.prediction import PredictionPlan, predict, which_biased
 from casid.record import Record
 from casid.records import standard_deviations, stretches
 from casid.shooting.output_error import OutputError
@@ -302,14 +302,14 @@ def _judged(
     gives a bias have none here: with one, a slow mode is a line for whatever drifts.
     """
     own = record.select(outputs=outputs)
-    found = validate({str(k): fit for k, fit in enumerate(fits)}, own)
+    found = validate({str(k): fit for k, fit in enumerate(fits)}, own, biases=biased)
     errors, noise, scale = [], [], standard_deviations([own])[1]
     nothing: Array = np.zeros(len(outputs))
     for k, fit in enumerate(fits):
         y, taken = found.simulated[str(k)][0], nothing
         seen = np.isfinite(own.y) & (np.arange(own.N) >= found.begins[0])[:, None]
         if np.isinf(found.horizon[0]) and isinstance(fit.model, NonlinearModel):
-            taken = nothing + 1 + len(fit.model.states) / len(outputs)
+            taken = which_biased(outputs, biased) + len(fit.model.states) / len(outputs)
         elif np.isinf(found.horizon[0]):
             whole = predict(fit.model.system(), own, scale, PredictionPlan(np.inf), biased)
             y, taken = whole.y, nothing if whole.taken is None else whole.taken

@@ -12,13 +12,17 @@ from casid.display import listed
 from casid.eigenmodes import Mode, modes
 from casid.fit import AnyFit
 from casid.record import Record
+from casid.records import datum
 from casid.report.content import BLACK_BOX, Caution, Content, DataFile, enough
+from casid.samples import known_mean
 from casid.validation import Validation
 
 WORSE = 2.0  # RMS error of the structure over that of the black box
 APART = 4.0  # standard errors of a difference: by chance once in 16 000
 WORST = 2.0  # of the guideline for J on average: what a single pair may have
 PER_UNKNOWN = 20.0  # measurements
+OFFSET = 3.0  # constant of a record over what is usual: it is another's
+GOOD = 0.1  # of what an output moves: a constant that a verdict would feel
 COLOURED = 1.5  # standard error over the Cramér-Rao bound, that of white residuals
 STRANGE = 4.0  # RMS error over residual of the estimation, the median of outputs
 OPEN = 0.5  # standard error of an eigenvalue over its modulus: as good as any sign
@@ -97,6 +101,35 @@ def unexplained_records(validation: Validation, content: Content) -> Iterator[Ca
                 "times the residuals there, the median of outputs.",
                 4,
             )
+
+
+def offsets(validation: Validation, content: Content) -> Iterator[Caution]:
+    """Constants of simulated records that hide what no constant of the estimation did."""
+    fit, model = content.fits.get(content.delivered), content.delivered
+    if fit is None or fit.biases is None:
+        return
+    usual = dict(zip(fit.model.outputs, np.abs(fit.biases).max(axis=0, initial=0), strict=True))
+    own = np.array([usual.get(name, np.nan) for name in validation.outputs])
+    said = []
+    for k, record in enumerate(validation.measured):
+        if np.isfinite(validation.horizon[k]):
+            continue
+        moved = GOOD * np.sqrt(known_mean((record.y - datum(record)) ** 2))
+        least = OFFSET * np.maximum(np.maximum(own, validation.rms[model][k]), moved / OFFSET)
+        bias = validation.biases[model][k]
+        sizes = [
+            f"{size:.2g} {content.units.get(name, '')}".strip()
+            for name, size in zip(validation.outputs, bias, strict=True)
+        ]
+        found = np.flatnonzero(np.abs(bias) > least)
+        said += [f"{validation.outputs[j]} of {record.name} ({sizes[j]})" for j in found]
+    if said:
+        yield Caution(
+            f"Fitted constants hide an offset of the model: {listed(said, NAMED)}, more than "
+            f"{OFFSET:g} times what is left, and what any record of the estimation had. No verdict "
+            "counts them: look at trim, units and instruments of these records.",
+            7,
+        )
 
 
 def _pooled(rms: Array) -> Array:

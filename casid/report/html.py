@@ -15,6 +15,7 @@ import jinja2
 from markupsafe import Markup
 from matplotlib import rc_context
 
+from casid.display import digits_beside_one
 from casid.jobs.beside import beside
 from casid.report import intervals
 from casid.report.answer import theil_place
@@ -91,6 +92,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "percent": percent, "price": price, "prior": prior}
+    environment.filters["digits_beside_one"] = digits_beside_one
     environment.filters |= {"word": word, "place": theil_place, "bar": intervals.bar}
     environment.filters |= {"sigmas": intervals.sigma_place, "costliest": costliest}
     return environment

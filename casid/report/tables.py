@@ -18,7 +18,7 @@ from casid.bounds.resampling import Ensemble
 from casid.consistency.kinematics import KinematicCheck
 from casid.cover import Cover
 from casid.design.plan import Design
-from casid.display import Shown
+from casid.display import Shown, digits_beside_one
 from casid.distances import Distances
 from casid.eigenmodes import modes
 from casid.embedding import StructureError
@@ -210,7 +210,7 @@ def _(value: Qualification) -> Cells:
 def _judged(largest: float) -> str:
     if np.isnan(largest):
         return "not judged"
-    return f"{'pass' if largest <= 1 else 'FAIL'} {largest:.2g}"
+    return f"{'pass' if largest <= 1 else 'FAIL'} {largest:.{digits_beside_one(largest, 2)}g}"
 
 
 @cells.register

@@ -1,11 +1,12 @@
 """Numbers as a reader wants them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from textwrap import shorten
 
 import numpy as np
 
+from casid.display import listed
 from casid.fit import ParameterEstimate
 
 TWO_LINES = 190  # letters on a terminal
@@ -29,6 +30,15 @@ def number(value: float | None, digits: int = 4) -> str:
         plain = 0 <= int(exponent) < 4  # 100 %, not 1e2 %
         text = f"{float(text):.0f}" if plain else f"{mantissa}e{int(exponent)}"
     return text.replace("-", "−")
+
+
+def fitted(outputs: Sequence[str], unbiased: Collection[str]) -> str:
+    """What follows every record of a validation."""
+    if not unbiased:
+        return "initial state and constant biases fitted"
+    if not (rest := [name for name in outputs if name not in unbiased]):
+        return "initial state fitted, no constant, as in the estimation"
+    return f"initial state and constant biases of {listed(rest)} fitted, as in the estimation"
 
 
 def percent(row: ParameterEstimate) -> str:

@@ -1,19 +1,25 @@
 """Nonlinear structures simulated, and predicted from states that a record's past tells."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from casid import filtering
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.errors import ModelError, warn
 from casid.free import Free
 from casid.linear import Steps
 from casid.nonlinear.coverage import reached, warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
-from casid.prediction import PER_UNKNOWN, Prediction, PredictionPlan, RecordPredictor
+from casid.prediction import (
+    PER_UNKNOWN,
+    Prediction,
+    PredictionPlan,
+    RecordPredictor,
+    which_biased,
+)
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.shooting.intervals import lay_out
@@ -109,17 +115,23 @@ def fitting_start(model: NonlinearModel, record: Record) -> dict[str, float]:
     moves = [len(np.unique(y[np.isfinite(y)])) > 1 for y in total.y.T]
     known = replace(total, y=np.where(moves, total.y, np.nan))
     weight = 1 / standard_deviations([total])[1]
-    return dict(zip(model.states, _answer(model, known, weight)[0][0].tolist(), strict=True))
+    x0 = _answer(model, known, weight, which_biased(model.outputs, None))[0][0]
+    return dict(zip(model.states, x0.tolist(), strict=True))
 
 
 def predict_nonlinear(
-    model: NonlinearModel, record: Record, scale: Array, far: PredictionPlan
+    model: NonlinearModel,
+    record: Record,
+    scale: Array,
+    far: PredictionPlan,
+    biased: Collection[str] | None = None,
 ) -> Prediction:
     """Outputs of a nonlinear structure over a record, as `casid.prediction.predict` has a linear's.
 
     Simulated with the initial state and the biases of least squares weighted by ``scale`` (ny,), or
-    predicted from what extended Kalman filters tell at each start. ValueError: a missing channel, a
-    state that no step from the measured one on improves, a solution that runs away.
+    predicted from what extended Kalman filters tell at each start. Every output has a bias, unless
+    it is said which are ``biased``. ValueError: a missing channel, a state that no step from the
+    measured one on improves, a solution that runs away.
     """
     total = record.total()
     columns = np.array(
@@ -128,9 +140,10 @@ def predict_nonlinear(
     y, sizes = np.where(columns < 0, np.nan, total.y[:, columns]), scale[columns]
     whole = replace(total.select(model.inputs, ()), y=y, outputs=model.outputs)
     if far.starts:
-        found = _ExtendedFilter(model, whole, sizes, far.horizon).pieces(far)
+        found = _ExtendedFilter(model, whole, sizes, far.horizon, biased).pieces(far)
     else:
-        (x0, bias), y, states = _answer(model, whole, 1 / sizes)
+        own = which_biased(model.outputs, biased)
+        (x0, bias), y, states = _answer(model, whole, 1 / sizes, own)
         found = Prediction(y, x0, bias, states)
     found = found.placed(columns, record.ny)
     trim = np.array([record.trim.get(name, 0.0) for name in record.outputs])
@@ -145,10 +158,18 @@ class _ExtendedFilter(RecordPredictor):
     that all of that past tells, in some passes.
     """
 
-    def __init__(self, model: NonlinearModel, record: Record, scale: Array, horizon: float) -> None:
+    def __init__(
+        self,
+        model: NonlinearModel,
+        record: Record,
+        scale: Array,
+        horizon: float,
+        biased: Collection[str] | None = None,
+    ) -> None:
         e = NonlinearEvaluator(_all_free(model), lay_out([record], 1e9))
         self._e = e = _following(e, model.vector(), scale, horizon)
         self._lam, self.y, self.t, self.scale = model.vector(), record.y, record.t, scale
+        self.biased = which_biased(record.outputs, biased)
         m, (N, ny), nx = e.matrices(self._lam), record.y.shape, e.nx
         self._u, self._stages = e.inputs(m), e.stages(m)
         point = Point(lam=self._lam, bias=np.zeros((1, ny)), nodes=e.resting())
@@ -234,11 +255,12 @@ def _following(
 
 
 def _answer(
-    model: NonlinearModel, record: Record, weight: Array
+    model: NonlinearModel, record: Record, weight: Array, biased: BoolArray
 ) -> tuple[tuple[Array, Array], Array, Array]:
     """State at the first sample and biases that fit best, outputs (N, ny), states (N, nx) then.
 
-    Those of the record's beginning come first: from farther off, what grows leads astray.
+    Only outputs ``biased`` (ny,) have a bias. What fits the record's beginning comes first: from
+    farther off, what grows leads astray.
     """
     nx, ny, N = len(model.states), len(model.outputs), record.N
     counts = [n for n in (N // 16, N // 4) if n >= PER_UNKNOWN * (nx + ny)]
@@ -248,7 +270,7 @@ def _answer(
     while True:
         cost = np.inf
         for evaluator in evaluators:
-            z, cost = _best_start(evaluator, lam, z, weight)
+            z, cost = _best_start(evaluator, lam, z, weight, biased)
         finer = [evaluator.finer(2) for evaluator in evaluators]
         if evaluator.substeps >= MOST or _same(evaluator, finer[-1], _start(lam, z, nx), weight):
             break
@@ -276,10 +298,11 @@ def _start(lam: Array, z: Array, nx: int) -> Point:
 
 
 def _best_start(
-    evaluator: NonlinearEvaluator, lam: Array, z: Array, weight: Array
+    evaluator: NonlinearEvaluator, lam: Array, z: Array, weight: Array, biased: BoolArray
 ) -> tuple[Array, float]:
     """State and biases of least squares, by Gauss-Newton from z, and the sum of squares."""
     nf, nx = evaluator.nf, evaluator.nx
+    moving = np.r_[np.ones(nx, dtype=bool), biased, True]  # the last is the residual
     W = np.tile(np.diag(weight), (len(evaluator.layout.patterns), 1, 1))
     W *= evaluator.layout.patterns[:, None, :]
 
@@ -293,7 +316,7 @@ def _best_start(
     if not np.isfinite(now):
         return z, now
     for _ in range(ROUNDS):
-        gram = _gram(evaluator, _start(lam, z, nx), W)[nf:, nf:]
+        gram = _gram(evaluator, _start(lam, z, nx), W)[nf:, nf:] * np.outer(moving, moving)
         unit = 1 / np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
         H = gram[:-1, :-1] * np.outer(unit, unit)
         step = -unit * np.linalg.lstsq(H, unit * gram[:-1, -1], rcond=WEAK)[0]

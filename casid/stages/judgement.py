@@ -14,8 +14,9 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 from casid.report.answer import predictions_told, ranked
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
-from casid.report.evidence import differences, disagreement, unexplained_records
+from casid.report.evidence import differences, disagreement, offsets, unexplained_records
 from casid.report.verdicts import verdicts
+from casid.report.words import fitted
 from casid.stages.stage import Stage, Task
 from casid.validation import Validation, validate
 
@@ -57,6 +58,7 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
         *unexplained_records(found, content),
         *disagreement(found, content),
         *differences(content),
+        *offsets(found, content),
     ]
     said += [Caution(each.caution, 20 if each.noisy else 7) for each in poor]
     if found.predicted:
@@ -76,9 +78,19 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
             values=seen,
             answer=predictions_told(judged, found, enough=enough(content.results)),
         )
-    more: Any = {"values": {"verdicts": judged} | named, "lead": lead, "cautions": tuple(said)}
+    shown: Any = {"verdicts": judged, "constants": _constants(found, content)}
+    shown["fitted"] = fitted(found.outputs, found.unbiased)
+    more: Any = {"values": shown | named, "lead": lead, "cautions": tuple(said)}
     yield section("verdicts", "Verdicts", 5, found, **more)
     yield from _compared(found, content)
+
+
+def _constants(found: Validation, content: Content) -> dict[str, list[float]]:
+    """Constants of each output that has any, one a record, of the delivered model."""
+    if content.delivered not in found.biases:
+        return {}
+    pairs = zip(found.outputs, found.biases[content.delivered].T.tolist(), strict=True)
+    return {name: own for name, own in pairs if name not in found.unbiased}
 
 
 def _lead(names: Sequence[str], seen: Container[str]) -> str:

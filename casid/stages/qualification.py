@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from casid.qualification import (
 )
 from casid.report.content import Caution, Content, Section, delivered, section
 from casid.report.evidence import noise_levels, residual_levels
+from casid.report.words import fitted
 from casid.stages.stage import Stage, Task
 
 
@@ -68,6 +70,14 @@ def _show(found: Qualification, content: Content) -> Iterable[Section]:
     said = [Caution(f"Out of the tolerance band: {', '.join(failed)}.", 15)] if failed else []
     if noisy := found.named(found.chance < EVEN):
         said.append(Caution(f"Noise alone may leave the tolerance band: {', '.join(noisy)}.", 16))
+    if excused := found.named(found.excused):
+        said.append(
+            Caution(
+                "Passed the tolerance bands with a fitted constant larger than the tolerance, "
+                f"which no figure counts: {', '.join(excused)}.",
+                15,
+            )
+        )
     if found.still:
         named = listed(found.still)
         said.append(
@@ -80,7 +90,9 @@ def _show(found: Qualification, content: Content) -> Iterable[Section]:
     if none:
         said.append(Caution(f"Not judged by the tolerance bands: {', '.join(none)}.", 15))
     draw = partial(report.drawings.draw_qualification, found, content.units)
-    yield section("qualification", "Qualification", 75, found, draw=draw, cautions=tuple(said))
+    values = {"fitted": fitted(found.validation.outputs, found.validation.unbiased)}
+    more: Any = {"values": values, "draw": draw, "cautions": tuple(said)}
+    yield section("qualification", "Qualification", 75, found, **more)
 
 
 QUALIFICATION = Stage(

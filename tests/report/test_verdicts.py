@@ -131,6 +131,7 @@ def test_verdicts_are_of_the_step_that_was_chosen(content):
         simulated=also(validation.simulated, worse),
         known=also(validation.known, validation.outputs),
         rms=also(validation.rms, validation.rms[OUTPUT_ERROR]),
+        biases=also(validation.biases, validation.biases[OUTPUT_ERROR]),
         theil=also(validation.theil, 2 * validation.theil[OUTPUT_ERROR]),
     )
     plain = verdicts(validation, content)
@@ -140,6 +141,23 @@ def test_verdicts_are_of_the_step_that_was_chosen(content):
     assert chosen.delivered == CHOSEN
     (page,) = [each for each in VALIDATION.show(judged, chosen) if each.name == "answer"]
     assert page.values["model"] == CHOSEN
+
+
+@pytest.mark.slow
+def test_a_constant_that_hides_an_offset_is_told_and_every_one_shown(content):
+    validation, model = content.results["validation"], content.delivered
+    assert not any("Fitted constants" in each for each in cautions(content))
+    biases = validation.biases[model].copy()
+    biases[0, 0] = 10 * np.ptp(validation.measured[0].y[:, 0])
+    moved = dataclasses.replace(validation, biases={**validation.biases, model: biases})
+    told = f"{validation.outputs[0]} of {validation.records[0]} ({biases[0, 0]:.2g} "
+    said = [each for each in cautions(changed(content, validation=moved)) if told in each]
+    assert [each.startswith("Fitted constants hide an offset") for each in said] == [True]
+    (page,) = [each for each in VALIDATION.show(moved, content) if each.name == "verdicts"]
+    assert page.values["constants"][validation.outputs[0]][0] == biases[0, 0]
+    none = dataclasses.replace(validation, unbiased=validation.outputs)
+    (page,) = [each for each in VALIDATION.show(none, content) if each.name == "verdicts"]
+    assert (page.values["constants"], "no constant" in page.values["fitted"]) == ({}, True)
 
 
 def _without(validation, output, model=None):

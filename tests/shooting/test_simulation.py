@@ -88,12 +88,25 @@ def test_a_long_swing_from_an_unknown_angle_is_followed():
 
 
 @pytest.mark.second
-@pytest.mark.parametrize(("horizon", "closed_loop"), [(np.inf, False), (1.0, False), (1.0, True)])
-def test_a_linear_structure_written_as_a_nonlinear_one_is_judged_alike(horizon, closed_loop):
+@pytest.mark.parametrize(
+    ("horizon", "closed_loop", "biases"),
+    [
+        (np.inf, False, True),
+        (1.0, False, True),
+        (1.0, True, True),
+        (np.inf, False, False),
+        (np.inf, False, ("q",)),
+        (1.0, False, ("q",)),
+    ],
+)
+def test_a_linear_structure_written_as_a_nonlinear_one_is_judged_alike(
+    horizon, closed_loop, biases
+):
     small = SmallSwing(Mq=-0.8, M=6.0, Mlon=8.0, tau=0.073)
     record = swung(5, size=0.05)
     models = {"linear": small, "written": WrittenOut().with_values_of(small)}
-    found = validate(models, record, horizon=horizon, closed_loop=closed_loop)
+    record = replace(record, y=record.y + np.array([0.02, 0.01]))
+    found = validate(models, record, horizon=horizon, closed_loop=closed_loop, biases=biases)
     for name in ("rms", "biases"):
         ours, theirs = (getattr(found, name)[each] for each in models)
         np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-5)
