@@ -122,7 +122,7 @@ def hint(name: str, known: Iterable[str]) -> str:
     """What was meant by a name that is not known, or all names that are."""
     known = tuple(known)
     meant = nearest_name(name, known)
-    others = f"known are {', '.join(known)}" if known else "there are none"
+    others = f"known are {', '.join(dict.fromkeys(known))}" if known else "there are none"
     return f"did you mean {meant!r}? {others[0].upper()}{others[1:]}" if meant else others
 
 

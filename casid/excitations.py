@@ -104,7 +104,8 @@ class Excitation(Shown):
                 k = int(np.argmin(np.where(inside, share, np.inf)))
                 middle = float(np.median(share[inside]))
                 said.append(f"{name} {middle:.0%} ({share[k]:.0%} at {self.omega[k]:.2g} rad/s)")
-        return "from outside come of " + ", ".join(said)
+        none = "no input moves enough to tell what of it comes from outside"
+        return f"from outside come of {', '.join(said)}" if said else none
 
     def ends(self) -> dict[str, float]:
         """Frequency [rad/s] above which an input holds little but what is fed back, by its name.

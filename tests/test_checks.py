@@ -153,7 +153,7 @@ def test_an_argument_too_many_or_missing_is_told_with_the_function_and_what_it_t
 
 def test_a_hint_names_the_nearest_and_then_all():
     assert hint("ordre", ["order", "past"]) == "did you mean 'order'? Known are order, past"
-    assert hint("zzz", ["order", "past"]) == "known are order, past"
+    assert hint("zzz", ["order", "past", "order"]) == "known are order, past"
     assert hint("order", []) == "there are none"
 
 

@@ -235,8 +235,9 @@ def simulate(
     """Simulate a fitted model with the inputs of a record, and measure what it misses.
 
     Initial state and constant biases are estimated from the record, parameters are not, nor biases
-    that the fit was without. A model that grows too much over it is predicted piece by piece instead, which the output then says.
-    Theil's coefficient is 0 for a perfect prediction, 1 for a useless one.
+    that the fit was without. A model that grows too much over it is predicted piece by piece
+    instead, which the output then says. Theil's coefficient is 0 for a perfect prediction, 1 for a
+    useless one.
     """
     with exits() as console:
         flying = load_fit(Path(fit), structure)

@@ -231,7 +231,7 @@ def _line(stage: str, iterations: int | None, cost: float | None, seconds: float
 
 
 def _judge(console: Console, outcome: StudyOutcome) -> None:
-    """Print what the report begins with: structure, verdict per output, what to be careful of."""
+    """Print what the report begins with: structure, verdict per output."""
     for said, good in outcome.headlines.items():
         console.print(Text(said, style={True: "green", False: "yellow", None: ""}[good]))
     if outcome.verdicts:
@@ -245,11 +245,12 @@ def _judge(console: Console, outcome: StudyOutcome) -> None:
             noise = f"{each.noise:.2g}"
             table.add_row(each.output, each.word, *figures, noise, Text(each.unit), style=style)
         console.print(table)
-    for said in outcome.cautions:
-        caution(console, brief(said))
 
 
 def _say_where(console: Console, outcome: StudyOutcome) -> None:
+    """Print what to be careful of, in short, and where all of it stands."""
+    for said in outcome.cautions:
+        caution(console, brief(said))
     path = str(outcome.report.resolve())
     console.print(Text("Report: ").append(path, style="bold"), soft_wrap=True)
 
@@ -309,12 +310,22 @@ def _describe(console: Console, study: Study) -> None:
     every = (each for records in flights.values() for each in records)
     rest = {d: each for each in every if (d := digest(each.u, each.y)) not in own}
     units = units_told(list(rest.values()))  # of the others it is a warning
-    for said in (*again.told(), *steps, *units, *unread, *untold):
+    for said in (*again.told(), *steps, *units, *unread, *untold, *_idle(study)):
         caution(console, said)
     if again.told() or unread or units or units_told(estimated):
         console.print("Mend the records first.")
     else:
         console.print("Mend the structure first." if untold else "The study is in order.")
+
+
+def _idle(study: Study) -> tuple[str, ...]:
+    """That the study has noise which no record gets."""
+    if study.noise is None or any(each.noise for each in study.roles.values()):
+        return ()
+    return (
+        "[noise] is added to no record, only casid design reads it: write noise = true in the "
+        "[records.ROLE] of simulated records that want it.",
+    )
 
 
 def _unread(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from casid.samples import known_inputs
 from casid.tables import Table
 
 FINER = 0.9  # of a record's interval, from which on resampling adds samples
+STAYING = 4.0  # standard deviations between a mean and zero
 KINEMATICS: Literal["kinematics"] = "kinematics"
 
 
@@ -169,6 +170,23 @@ def with_inputs(record: Record, names: tuple[str, ...]) -> Record:
     inputs = (*record.inputs, *moved)
     whole = record.select(outputs=kept).take(known)
     return replace(whole, u=np.hstack([whole.u, u[known]]), inputs=inputs)
+
+
+def tell_doubled(record: Record, trim: Mapping[str, float]) -> None:
+    """Warn of channels whose values still hold the trim that is said to be subtracted."""
+    for name in (each for each in (*record.inputs, *record.outputs) if each in trim):
+        values = record.channel(name)[np.isfinite(record.channel(name))]
+        if not len(values):
+            continue
+        mean, spread = float(values.mean()), float(values.std())
+        # Deviations begin at zero: they do not stay so far from it, and about the trim at that.
+        near = abs(mean - trim[name]) < min(abs(mean), abs(trim[name]))
+        if near and abs(mean) > STAYING * spread:
+            warn(
+                f"record {record.name!r}: trim says that {name} = {trim[name]:g} was subtracted, "
+                f"but its values lie about {mean:.4g} and never near 0: if they are total values, "
+                f"leave {name} out of trim, which counts it twice"
+            )
 
 
 def read_mending(table: Table) -> Mending:

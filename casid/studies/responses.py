@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from casid.display import listed
 from casid.errors import DataWarning
 from casid.exchange.formats import read_table
 from casid.frequency.estimation import SpectralAnalysis
@@ -52,10 +53,14 @@ def _table(file: Path, model: Model) -> FrequencyResponse:
     }
     pairs = {pair: own for pair, own in every.items() if {*own} <= {*columns}}
     if not pairs or "omega" not in columns:
-        wanted = ", ".join(next(iter(every.values())))
+        needed = [("omega", *own) for own in every.values()]
+        _, lacks = min(
+            (len({*own} - {*columns}), [n for n in own if n not in columns]) for own in needed
+        )
         raise ValueError(
-            f"responses: {file} has no columns omega, {wanted} or those of another pair; name its "
-            "columns so, or read it with read_frequency_csv and save() it as JSON"
+            f"responses: {file} has no column {', '.join(lacks)} (omega is in rad/s), nor all of "
+            f"another pair; it has {listed([*columns])}: name its columns so, or read it with "
+            "read_frequency_csv and save() it as JSON"
         )
     return read_frequency_csv(file, pairs=pairs)
 

@@ -1,5 +1,6 @@
 """A study: what to identify from which records, as frozen values."""
 
+import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,7 @@ from casid.design.asked import DesignSettings, check_deviations, check_times
 from casid.design.loop import gains
 from casid.design.prior import check_trim
 from casid.design.problem import check_limited, free_of
-from casid.errors import warn
+from casid.errors import DataWarning, warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.folder import spare
@@ -28,7 +29,7 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
 from casid.saturation import longest_stop, saturated
 from casid.stages.stage import ROLES, Role, Stage, Task
-from casid.studies.preparation import Cutting, Mending, SecondLogger, with_inputs
+from casid.studies.preparation import Cutting, Mending, SecondLogger, tell_doubled, with_inputs
 from casid.subspace.pbsid import Pbsid
 from casid.tables import placed
 
@@ -47,7 +48,9 @@ class RecordSet:
     def placed(self, record: Record) -> Record:
         """A record with the flight condition that is told of it."""
         told = [trim for pattern, trim in self.trim.items() if fnmatchcase(record.name, pattern)]
-        return replace(record, trim=reduce(or_, map(dict, told), dict(record.trim)))
+        trim = reduce(or_, map(dict, told), dict(record.trim))
+        tell_doubled(record, trim)
+        return replace(record, trim=trim)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,7 +261,7 @@ def _check_names(study: Study) -> None:
 
 def _read(study: Study, file: Path) -> Record:
     channels, second = study.channels, study.channels.second
-    time = channels.time if channels.dt is None else channels.dt
+    time = channels.time if channels.dt is None else _counted(channels, file, channels.dt)
     every = (channels.inputs, channels.measured)
     if second is None:
         return _read_channels(channels, file, *every, time)
@@ -267,6 +270,25 @@ def _read(study: Study, file: Path) -> Record:
     other = _read_channels(channels, second.beside(file), (), second.channels, second.time)
     first, other = (with_inputs(each, channels.inputs) for each in (first, other))
     return second.joined(first, other, fresh=channels.mending.fresh).select(*every)
+
+
+def _counted(channels: ChannelSettings, file: Path, dt: float) -> float:
+    """The interval [s] that a file's instants are counted at; ValueError where it has others."""
+    second = () if channels.second is None else channels.second.channels
+    some = tuple(name for name in channels.measured if name not in second)[:1]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataWarning)  # reading the channels tells them
+            t = _read_channels(replace(channels, units={}), file, (), some, channels.time).t
+    except ValueError:  # no such column, or no instants in it
+        return dt
+    if (np.abs(t - t[0] - dt * np.arange(len(t))) > dt / 2).any():
+        raise ValueError(
+            f"{file}: column {channels.time!r} has a sample every {np.median(np.diff(t)):g} s, "
+            f"[channels] dt = {dt:g} counts other instants: leave dt out, with the column's unit "
+            "in units if it is not s; or rename the column if it is no time"
+        )
+    return dt
 
 
 def _read_channels(

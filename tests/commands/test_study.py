@@ -163,6 +163,20 @@ def test_check_tells_what_the_records_cannot_tell_of_the_structure(tmp_path):
     assert "in order" not in said
 
 
+def test_check_tells_of_noise_that_no_record_gets(tmp_path):
+    said = " ".join(casid("check", write_study(tmp_path, ("noise = true\n", ""))).output.split())
+    assert "[noise] is added to no record, only casid design reads it: write noise = true" in said
+    assert "[noise]" not in casid("check", write_study(tmp_path)).output
+
+
+@pytest.mark.slow
+def test_bounds_prints_the_cautions_of_its_identification(tmp_path):
+    prior = "[output_error.priors]\nLp = [-9.0, 0.01]\n\n[bounds.cases]\nfree = []\n\n[match]"
+    result = casid("bounds", write_study(tmp_path, ("[match]", prior)))
+    assert result.exit_code == 0, result.output
+    assert "the records contradict the prior Lp = -9" in " ".join(result.output.split())
+
+
 @pytest.mark.filterwarnings("always:.*times as far as")
 @pytest.mark.parametrize("name", ["3211", "random"])
 def test_check_of_records_in_units_unlike_is_not_in_order(tmp_path, name):

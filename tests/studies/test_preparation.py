@@ -1,5 +1,6 @@
 """What a study does to its records, against the same done by hand or undone beforehand."""
 
+import re
 import warnings
 from dataclasses import replace
 from shutil import copyfile
@@ -9,7 +10,7 @@ import pytest
 from truths.roll_study import write_study
 
 from casid import DataWarning, Record, read_csv, read_records, read_study, write_csv
-from casid.studies.preparation import SecondLogger, with_inputs
+from casid.studies.preparation import SecondLogger, tell_doubled, with_inputs
 
 PLACE = "[records.identification]\n"
 QUIET = ("noise = true", "noise = false")
@@ -75,6 +76,37 @@ def test_a_time_column_and_an_interval_exclude_each_other(tmp_path):
     path = write_study(tmp_path, (PLACE, f'[channels]\ntime = "t"\ndt = 0.1\n{PLACE}'))
     with pytest.raises(ValueError, match=r"\[channels\]: states time and dt"):
         read_study(path)
+
+
+def test_an_interval_that_a_files_own_time_contradicts_is_refused(tmp_path):
+    told = r"column 't' has a sample every 0.04 s, \[channels\] dt = 0.02 counts other instants"
+    with pytest.raises(ValueError, match=told):
+        read(tmp_path, (PLACE, f"[channels]\ndt = 0.02\n{PLACE}"))
+    plain = read(tmp_path)["3211"]
+    own = (PLACE, f"[channels]\ndt = 0.04\n{PLACE}")
+    np.testing.assert_allclose(read(tmp_path, own)["3211"].t, plain.t, atol=1e-12)
+    for path in tmp_path.glob("*.csv"):  # a column without instants in it is no time
+        head, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([head, *(re.sub("^[^,]*", "0", row) for row in rows)]) + "\n")
+    again = read_records(read_study(tmp_path / "study.toml"))["identification"]
+    np.testing.assert_allclose(again[0].t, plain.t, atol=1e-12)
+
+
+def test_a_trim_that_the_values_still_hold_is_told():
+    u, y, names = (
+        np.zeros((400, 1)),
+        30.0 + np.sin(0.05 * np.arange(400))[:, None],
+        (("a",), ("u",)),
+    )
+    total = Record(0.02 * np.arange(400), u, y, *names, "flown")
+    with pytest.warns(DataWarning, match="trim says that u = 31 was subtracted, .* lie about 30"):
+        tell_doubled(total, {"u": 31.0, "w": 1.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tell_doubled(replace(total, y=y - 30), {"u": 30.0})  # deviations
+        tell_doubled(replace(total, y=y - 30 + 3), {"u": 30.0})  # those from a trim a little off
+        tell_doubled(total, {"w": 30.0})  # of no channel
+        tell_doubled(replace(total, y=np.nan * y), {"u": 30.0})
 
 
 @pytest.mark.second

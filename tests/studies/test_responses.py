@@ -86,7 +86,7 @@ def test_a_copy_of_a_flight_is_refused_before_any_stage(tmp_path):
         ),
         ([SPLIT, asked('"frequency"', f"{GRID}[choice]\n\n")], r"does not go with \[choice\]"),
         ([asked('["none.json"]', "")], r"there is no file .*none.json"),
-        ([asked('["3211.csv"]', "")], "no columns omega, p_lat_dB"),
+        ([asked('["3211.csv"]', "")], "no column omega, p_lat_dB"),
         ([asked('["roll.py"]', "")], "names of .json or .csv files"),
         ([asked("3", "")], "responses = 3, expected list or str"),
     ],
@@ -94,6 +94,17 @@ def test_a_copy_of_a_flight_is_refused_before_any_stage(tmp_path):
 def test_what_cannot_count_is_refused_when_the_study_is_read(tmp_path, changes, message):
     with pytest.raises(ValueError, match=message):
         read_study(write_study(tmp_path, *changes))
+
+
+def test_a_table_that_lacks_a_column_is_told_which(tmp_path):
+    kinds = ("dB", "deg", "coherence", "error")
+    columns = ["Hz", *(f"phi_lat_{kind}" for kind in kinds)]
+    (tmp_path / "own.csv").write_text(",".join(columns) + "\n" + "1.0,1.0,1.0,1.0,1.0\n" * 3)
+    told = (
+        r"own.csv has no column omega \(omega is in rad/s\), .* it has Hz, phi_lat_dB, phi_lat_deg"
+    )
+    with pytest.raises(ValueError, match=told):
+        read_study(write_study(tmp_path, asked('["own.csv"]', "")))
 
 
 def test_responses_of_other_channels_and_no_responses_are_refused(tmp_path):
