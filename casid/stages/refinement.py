@@ -68,7 +68,8 @@ def _better_as_steps(
     """By how much the log-likelihood gains where inputs are held between samples, -inf if unknown.
 
     Steps are half a sample later than lines, so much shorter are delays; the rest is as it was, and
-    prior values count on both sides.
+    prior values count on both sides. Measured responses count on none: those estimated from records
+    that are read as lines speak for lines.
     """
     model, half = fit.model, max(record.dt for record in records) / 2
     late = {
@@ -80,10 +81,15 @@ def _better_as_steps(
     held = [name for name in model.parameter_names() if name not in kept]
     steps, read = [replace(record, hold="zoh") for record in records], replace(model, **late)
     names = sorted({*held} & {*fit.free_names} & {*(priors := settings.priors or {})})
-    off = [(getattr(read, name) - priors[name][0]) / priors[name][1] for name in names]
-    pull = float(np.square(off).sum()) / 2
+
+    def cost(at: Any, flown: Sequence[Record]) -> float:  # noqa: ANN401 - model of whatever class
+        off = [(getattr(at, name) - priors[name][0]) / priors[name][1] for name in names]
+        plain = replace(settings, responses=())
+        return _cost(plain, at, flown, held, fit) + float(np.square(off).sum()) / 2
+
     try:
-        return fit.cost - pull - _cost(settings, read, steps, held, fit)
+        lines = cost(model, records) if settings.responses else fit.cost
+        return lines - cost(read, steps)
     except (ValueError, ConvergenceError):  # nothing is told where it fails
         return -np.inf
 
@@ -100,7 +106,7 @@ def _cost(
 
     Only initial states, biases and R follow where they are all that may, without another fit.
     """
-    if settings.domain != "time" or settings.process_noise is not False or settings.responses:
+    if settings.domain != "time" or settings.process_noise is not False:
         return settings.fit(model, records, fixed=held, near=near).cost
     free, R = settings.free(model, held), checked_covariance(settings.R, len(model.outputs))
     biases, integration = bool(settings.biases), near.notes.integration

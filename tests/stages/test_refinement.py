@@ -9,7 +9,7 @@ import pytest
 import scipy.signal
 from truths.closed_roll import NOISE, TRUTH, T, excitation, noisy, off
 
-from casid import DataWarning, OutputError, Record, output_error
+from casid import DataWarning, FrequencyResponse, OutputError, Record, output_error
 from casid.records import steps_told
 from casid.report import OUTPUT_ERROR as LABEL
 from casid.report.content import CHOSEN
@@ -93,6 +93,20 @@ def test_how_much_likelier_steps_are_is_what_a_fit_of_initial_states_and_biases_
     slack = 3 * 3.84 / 2  # what one parameter more may gain by chance, thrice
     assert fit.cost - there.cost - slack < _better_as_steps(settings, fit, records)
     assert _better_as_steps(settings, fit, records) < fit.cost - there.cost + 1e-3
+
+
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_responses_say_nothing_of_how_records_hold_their_inputs(domain):
+    omega = np.geomspace(0.5, 10.0, 12)
+    G = TRUTH.system().response(omega)
+    exact = FrequencyResponse(
+        omega=omega, G=G, coherence=np.ones(G.shape), random_error=np.full(G.shape, 0.001),
+        inputs=TRUTH.inputs, outputs=TRUTH.outputs, input_std=np.ones(2), output_std=np.ones(3),
+    )  # fmt: skip
+    plain, records = OutputError(domain=domain), [noisy(1)]
+    fit = plain.fit(TRUTH, records)
+    joint = _better_as_steps(replace(plain, responses=[exact]), fit, records)
+    assert joint == pytest.approx(_better_as_steps(plain, fit, records), abs=0.5)
 
 
 @pytest.mark.parametrize("domain", ["time", "frequency"])
