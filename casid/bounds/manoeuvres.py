@@ -14,6 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.bounds.trials import Fits, aicc, run_fits
 from casid.checks import check_known
+from casid.display import Shown
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
@@ -32,8 +33,8 @@ NOISE = 0.9  # of the noise's power, which is not known exactly, is taken from e
 TOP = 0.75  # of the highest frequency, from where residuals are noise
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class StructureComparison:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class StructureComparison(Shown):
     """How well candidates predict manoeuvres that they were not estimated from.
 
     Parameters
@@ -118,16 +119,28 @@ class StructureComparison:
         order = sorted(equal, key=lambda k: (self.parameters[k], mean[k]))
         return self.names[order[0]]
 
+    def headline(self) -> str:
+        """Which candidate predicts best, and the simplest that is not worse."""
+        of = f"{len(self.names)} candidates, {len(self.manoeuvres)} manoeuvres left out in turn"
+        if np.isinf(self.excess[0]).all():
+            return f"{of}; every candidate failed"
+        return f"{of}; best {self.best}, the simplest that is not worse {self.simplest}"
+
+    def cells(self) -> tuple[tuple[str, ...], list[list[str]]]:
+        """Heading, and one row a candidate: "failed" of one that did on some manoeuvre."""
+        each = zip(self.names, self.parameters, *self.excess, self.aicc, strict=True)
+        rows = []
+        for name, count, mean, error, criterion in each:
+            above = f"{100 * np.expm1(mean):+.0f} % ± {100 * error:.0f} %"
+            told = "" if np.isnan(criterion) else f"{criterion:.0f}"
+            rows.append([name, str(count), "failed" if np.isinf(mean) else above, told])
+        return ("candidate", "parameters", "error above the best", "AICc"), rows
+
     def to_markdown(self) -> str:
-        """One row a candidate."""
-        mean, error = self.excess
-        rows = [
-            [name, str(count), f"{100 * np.expm1(m):+.0f} % ± {100 * e:.0f} %", f"{a:.0f}"]
-            for name, count, m, e, a in zip(
-                self.names, self.parameters, mean, error, self.aicc, strict=True
-            )
-        ]
-        return markdown_table(["candidate", "parameters", "error above the best", "AICc"], rows)
+        """One row a candidate; then why fits failed."""
+        heading, rows = self.cells()
+        said = [f"- {job}: {reason}" for job, reason in self.reasons.items()]
+        return "\n\n".join(filter(None, [markdown_table(heading, rows), "\n".join(said)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +228,7 @@ def compare_structures(
         parameters=tuple(0 if f is None else len(f.free_names) for f in fits),
         errors=errors[:, left],
         noise=_least(noise[:, left]),
-        aicc=_criteria(fits, flown),
+        aicc=_criteria([None if e[0].reason else e[0].result for e in ends.values()], flown),
         fits=tuple(fits),
         reasons=reasons,
     )

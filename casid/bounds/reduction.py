@@ -13,6 +13,7 @@ import numpy as np
 from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, DerividNotes
 from casid.bounds.trials import Data, Fits, aicc
 from casid.checks import check_known, checked_fields
+from casid.display import Shown
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, ParameterEstimate
@@ -43,8 +44,8 @@ class Step:
     reason: str = ""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Reduction:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Reduction(Shown):
     """What was held, step by step.
 
     Parameters
@@ -72,8 +73,13 @@ class Reduction:
         columns = tuple(each.name for each in fields(Step))
         return csv_text(columns, [[getattr(step, c) for c in columns] for step in self.steps])
 
-    def to_markdown(self) -> str:
-        """One row a step."""
+    def headline(self) -> str:
+        """How many parameters were held, by which criterion."""
+        free = len(self.full.free_names)
+        return f"{len(self.held)} of {free} free parameters held by {self.criterion}"
+
+    def cells(self) -> tuple[tuple[str, ...], list[list[str]]]:
+        """Heading, and one row a step."""
         rows = []
         for step in self.steps:
             percent = [f"{step.insensitivity:.3g}", f"{step.cramer_rao:.3g}"]
@@ -81,7 +87,11 @@ class Reduction:
             verdict = "yes" if step.accepted else step.reason or "no"
             rows.append([step.parameter, f"{step.value:.4g}", *percent, *costs, verdict])
         heading = ("held", "at", "insensitivity [%]", "Cramér-Rao [%]", "cost", "AICc", "accepted")
-        return markdown_table(heading, rows)
+        return heading, rows
+
+    def to_markdown(self) -> str:
+        """One row a step."""
+        return markdown_table(*self.cells())
 
 
 @checked_fields

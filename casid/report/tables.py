@@ -13,7 +13,9 @@ from casid.bandwidth import HandlingBand
 from casid.baseline.handling import HandlingQualities
 from casid.baseline.loes import TransferFunction
 from casid.bounds.compare import BoundsComparison
+from casid.bounds.manoeuvres import StructureComparison
 from casid.bounds.profiles import Profile
+from casid.bounds.reduction import Reduction
 from casid.bounds.resampling import Ensemble
 from casid.consistency.kinematics import KinematicCheck
 from casid.cover import Cover
@@ -162,6 +164,12 @@ def _(value: BoundsComparison) -> Cells:
         figures = (case.cost, case.increase, case.predicted, case.p_value)
         rows.append([case.name, *(number(x, 6) for x in figures), str(case.held)])
     return ("case", "cost", "increase", "predicted", "p", "held"), rows
+
+
+@cells.register(StructureComparison)
+@cells.register(Reduction)
+def _(value: StructureComparison | Reduction) -> Cells:
+    return value.cells()
 
 
 @cells.register

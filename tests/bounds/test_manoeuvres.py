@@ -22,6 +22,7 @@ from casid import (
     compare_structures,
     output_error,
     parameter,
+    summary,
     validate,
 )
 from casid.bounds.manoeuvres import StructureComparison, Without, _biased, _judged, _parts
@@ -55,11 +56,13 @@ def of_model(model):
 
 @dataclass(frozen=True)
 class Stuck:
-    """Has something to show of fewer records, and says that it is no solution."""
+    """Has something to show of fewer records, or of all, and says that it is no solution."""
+
+    everywhere: bool = False
 
     def fit(self, model, records, **_):
         found = OutputError(domain="frequency").fit(model, records)
-        if len(records) < len(RECORDS):
+        if self.everywhere or len(records) < len(RECORDS):
             raise ConvergenceError("stuck", found)
         return found
 
@@ -120,6 +123,18 @@ def test_a_candidate_that_fails_everywhere_leaves_the_others_in_their_order():
     np.testing.assert_allclose(found.excess[0][:2], [1.0, 0.0], atol=1e-12)
     once = comparison([[1.0, 1.1, np.inf], [0.0, 0.1, np.inf], [0.5, np.inf, np.inf]], [3, 9, 9])
     assert once.best == "b"  # of those that failed least
+
+
+def test_a_candidate_that_failed_is_said_to_with_its_reason():
+    found = comparison([[0.0, 0.1, 0.2], [0.4, 0.5, np.inf]], [9, 7])
+    found = replace(found, aicc=np.array([12.0, np.nan]), reasons={"b, all": "stuck"})
+    table = found.to_markdown()
+    assert "| b | 7 | failed |  |" in table
+    assert table.endswith("\n\n- b, all: stuck")
+    assert "best a, the simplest that is not worse a" in summary(found)
+    assert table.startswith(summary(found).partition("\n\n")[2].rstrip())
+    lost = replace(found, errors=np.full(found.errors.shape, np.inf))
+    assert lost.headline().endswith("every candidate failed")
 
 
 class Bank(Model):
@@ -320,6 +335,13 @@ def test_a_way_that_fails_on_all_manoeuvres_is_not_tried_without_each():
     assert np.isinf(found.errors[1]).all()
     assert found.fits[1] is None
     assert Failing.tried == 1
+
+
+def test_the_best_iterate_of_a_candidate_that_failed_has_no_criterion():
+    ways = {"frequency": OutputError(domain="frequency"), "stuck": Stuck(everywhere=True)}
+    found = compare_structures(dict.fromkeys(ways, TRUTH), RECORDS, estimator=ways, execution=HERE)
+    assert found.fits[1] is not None
+    assert np.isnan(found.aicc).tolist() == [False, True]
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from casid import (
     StateSpace,
     output_error,
     reduce_structure,
+    summary,
 )
 from casid.bounds.reduction import accuracy_figures
 
@@ -43,6 +44,7 @@ def test_a_parameter_the_data_do_not_need_is_dropped_and_no_other():
         assert abs(row.value - getattr(IDLE, name)) < 3 * row.std_error
         assert row.std_error < found.full[name].std_error
     assert "d" in found.to_markdown()
+    assert "Reduction(1 of 3 free parameters held by aicc)" in summary(found)
     assert found.to_csv().splitlines()[1].startswith("d,0,")
 
 
