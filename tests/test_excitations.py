@@ -139,13 +139,13 @@ def test_a_record_too_short_or_at_rest_is_refused_and_never_stops_a_black_box():
         excitation(still)
 
 
-@pytest.mark.filterwarnings("ignore:.* no straight line:casid.DataWarning")
 def test_without_an_input_that_moves_the_headline_is_a_sentence():
     found = excitation(flown(1, 20.0))
     none = replace(found, within=np.zeros_like(found.within))
     assert none.headline() == "no input moves enough to tell what of it comes from outside"
 
 
+@pytest.mark.filterwarnings("ignore:.* no straight line:casid.DataWarning")
 def test_lost_samples_uneven_intervals_and_slower_records_are_taken():
     record = flown(1, 1.0)
     clean = excitation(record)

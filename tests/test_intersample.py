@@ -35,7 +35,7 @@ def test_model_estimator_and_exported_module_simulate_the_truth(hold, delay, dir
     t, plant = H * np.arange(len(u)), (system.A, system.B, system.C, system.D)
     truth = simulate_finely(plant, H, u, [delay, 0.0], hold, X0)
     module: dict[str, object] = {"__name__": "model"}
-    exec(module_text(system, "roll"), module)
+    exec(module_text(system, "foh", "roll"), module)
     record = Record(t, u, 0 * truth, model.inputs, model.outputs, hold=hold)
     free = free_parameters(model)
     point = Point(lam=model.vector(), bias=np.zeros((1, 3)), nodes=X0[None])

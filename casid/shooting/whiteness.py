@@ -29,6 +29,7 @@ from casid.subspace.feedback import followed
 
 LAGS = 10  # samples
 LEVEL = 1e-6  # of each test
+ROUNDING = 1e-5  # of an output: a residual as small is that of the computation
 UNEVEN = 2.0  # times the variance of another record's innovations
 
 
@@ -128,7 +129,10 @@ def warn_of_followed(programme: Programme, x: Array) -> None:
     direct = not linear or bool(model.system().D.any())
     now = direct or any(record.hold == "foh" for record in records)
     dt = max(record.dt for record in records)
-    coloured, followers = followed(whitened(programme, x), [r.u for r in records], dt, now=now)
+    power = np.mean(programme.values(x).motion.residuals ** 2, axis=0)
+    y = np.nan_to_num(np.concatenate([record.y for record in records]))
+    residuals = [r * (power > ROUNDING**2 * np.mean(y**2, axis=0)) for r in whitened(programme, x)]
+    coloured, followers = followed(residuals, [r.u for r in records], dt, now=now)
     if not followers.any():
         return
     outputs, inputs = (

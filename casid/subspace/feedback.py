@@ -37,7 +37,7 @@ LEVEL = 1e-3  # of the tests for feedback and for a direct term
 SURE = 1e-6  # of that of residuals: what is not linear, a manoeuvre may repeat in its next input
 COLOUR = 0.1  # share of a residual's power that its past explains, below which it counts as white
 ROWS = 3.0  # samples for every regressor, at least
-EXACT = 1e-5  # share of a residual's power: the rest follows from inputs, it is no noise
+EXACT = 5e-3  # share of a residual's power, below which what is new in it is no gust's or noise
 
 
 def fed_back_noise(

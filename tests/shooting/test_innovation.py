@@ -50,6 +50,7 @@ def test_the_gain_of_a_black_box_is_turned_into_the_models_states():
     np.testing.assert_allclose(black_box_gain(replace(TRUTH, tau=0.0), box), K, rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 def test_states_are_those_behind_the_delay():
     # The black box has the delay as four states of its own, behind those of the model.
     late = without_delay(TRUTH.system(), 4)
