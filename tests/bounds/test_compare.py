@@ -1,6 +1,7 @@
 """Comparisons of bounds against closed-form constrained optima."""
 
 import csv
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -408,10 +409,21 @@ def test_a_case_that_fails_is_fitted_from_one_within_it():
     assert "explains nothing" in found["lower"].reason
 
 
-def test_a_minimum_that_stays_local_is_told(monkeypatch):
-    monkeypatch.setattr("casid.bounds.compare._from_each_other", lambda _cases, _fits, done: done)
+@dataclass(frozen=True)
+class Stubborn:
+    """Starts the fit of one range where it will, wherever it is told to."""
+
+    def fit(self, model, data, *, bounds, **more):
+        if bounds["k"] == (-3.0, 3.0):
+            model, more = replace(model, k=-1.2), more | {"near": None}
+        return MATCHED.fit(model, data, bounds=bounds, **more)
+
+
+def test_a_minimum_that_stays_local_is_told_and_of_ranges_apart_none_is(recwarn):
     target, _ = gains(1.0, 0.1)
+    lower, upper = {"k": (-2.5, 0.1)}, {"k": "> 0.15"}
+    settings = {"estimator": Stubborn(), "execution": HERE}
+    compare_bounds(Folded(), target, cases={"lower": lower, "upper": upper}, **settings)
+    assert not recwarn
     with pytest.warns(DataWarning, match="'upper' lies within 'free', yet its cost is lower by"):
-        compare_bounds(
-            Folded(), target, cases={"free": {}, "upper": {"k": "> 0.15"}}, estimator=MATCHED
-        )
+        compare_bounds(Folded(), target, cases={"free": {}, "upper": upper}, **settings)
