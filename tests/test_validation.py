@@ -38,6 +38,13 @@ def only(result: Validation, measure: str, name: str = "m"):
     return getattr(result, measure)[name][0]
 
 
+def test_records_too_short_for_biases_are_not_without_any():
+    record = flown(t=T[:7], bias=[0.0, 0.0])  # 14 samples for 3 states, or 3 and 2 biases
+    with pytest.raises(ValueError, match="14 measurements for 5 initial states and biases"):
+        validate({"m": TRUTH}, [record])
+    assert only(validate({"m": TRUTH}, [record], biases=False), "rms").max() < 1e-11
+
+
 def test_the_truth_leaves_no_residual_and_finds_state_and_biases():
     result = validate({"m": TRUTH}, [flown()])
     # Rounding of signals of size 1-10 through a least-squares problem of condition about 1e3.

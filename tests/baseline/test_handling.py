@@ -284,6 +284,18 @@ def test_the_margin_of_an_unstable_loop_is_that_where_it_is_lost():
     assert len(read.remarks) == 1
 
 
+def test_a_gain_that_rises_last_is_no_place_where_a_loop_is_lost():
+    def loop(s):
+        x = np.log(np.abs(s))
+        gain = np.interp(x, np.log([0.5, 2.0, 3.0, 5.0, 20.0]), [20.0, 0.0, -8.0, 0.0, 12.0])
+        phase = np.interp(x, np.log([0.5, 2.0, 3.5, 5.0]), [-120.0, -150.0, -180.0, -240.0])
+        return 10 ** (gain / 20) * np.exp(1j * np.radians(phase))
+
+    read = handling_qualities(response(loop), ("phi", "lat"), kind="loop")
+    assert read.crossover == pytest.approx(2.0, rel=1e-3)
+    assert read.phase_margin == pytest.approx(30.0, abs=0.5)
+
+
 def test_a_grid_too_coarse_for_a_margin_is_told():
     at = scipy.optimize.brentq(lambda w: resonant(1j * w).imag, 4.5, 5.5)
     margin = -20 * np.log10(np.abs(resonant(1j * at)))

@@ -52,6 +52,13 @@ def test_an_unstable_system_of_negative_gain_is_found_too():
     assert fit.delay == pytest.approx(0.15, abs=1e-6)
 
 
+def test_a_delay_that_zeros_hide_in_the_phase_is_found():
+    # They rise by as much as the delay falls: the phase moves through half a radian alone.
+    fit = transfer_function(measured(lambda s: (1 + s / 2) ** 4 * np.exp(-0.7 * s)), (4, 0))
+    assert fit.delay == pytest.approx(0.7, abs=1e-5)
+    assert fit.J < 1e-8
+
+
 @pytest.mark.parametrize("turned", [0.5, 5.0, 9.0, 15.0])  # rad at the fastest point
 @pytest.mark.parametrize(("numerator", "denominator"), [
     ([10.0], [1.0, 2.5]), ([-40.0], [1.0, 2.0, 16.0]), ([30.0, 60.0], [1.0, 4.0, 9.0]),

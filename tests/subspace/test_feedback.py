@@ -219,9 +219,11 @@ def test_an_input_that_follows_coloured_residuals_is_told_of_the_others(lost):
         assert followers.tolist() == [True, False]
 
 
-def test_white_residuals_may_be_followed():
+@pytest.mark.parametrize("colour", [0.0, 0.25])  # of which the past explains a sixteenth
+def test_white_residuals_may_be_followed(colour):
     for seed in range(5):
-        coloured, followers = followed(*residuals_of(seed, colour=0.0, gain=0.5), 0.04, now=True)
+        found = residuals_of(seed, colour=colour, gain=0.5, N=3000)
+        coloured, followers = followed(*found, 0.04, now=True)
         assert not coloured.any()
         assert not followers.any()
 
