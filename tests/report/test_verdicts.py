@@ -153,6 +153,8 @@ def test_a_constant_that_hides_an_offset_is_told_and_every_one_shown(content):
     told = f"{validation.outputs[0]} of {validation.records[0]} ({biases[0, 0]:.2g} "
     said = [each for each in cautions(changed(content, validation=moved)) if told in each]
     assert [each.startswith("Fitted constants hide an offset") for each in said] == [True]
+    loose = dataclasses.replace(moved, rms={**moved.rms, model: moved.rms[model] + biases[0, 0]})
+    assert not any("Fitted constants" in x for x in cautions(changed(content, validation=loose)))
     (page,) = [each for each in VALIDATION.show(moved, content) if each.name == "verdicts"]
     assert page.values["constants"][validation.outputs[0]][0] == biases[0, 0]
     none = dataclasses.replace(validation, unbiased=validation.outputs)

@@ -105,6 +105,7 @@ def test_a_trim_that_the_values_still_hold_is_told():
         warnings.simplefilter("error")
         tell_doubled(replace(total, y=y - 30), {"u": 30.0})  # deviations
         tell_doubled(replace(total, y=y - 30 + 3), {"u": 30.0})  # those from a trim a little off
+        tell_doubled(replace(total, y=20 * (y - 30) + 29), {"u": 30.0})  # they do pass zero
         tell_doubled(total, {"w": 30.0})  # of no channel
         tell_doubled(replace(total, y=np.nan * y), {"u": 30.0})
 
