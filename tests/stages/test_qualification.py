@@ -17,6 +17,7 @@ def test_a_study_judges_its_model_in_the_bands(copy):
     page = outcome.report.read_text("utf-8")
     assert "Sign-off" in page
     assert "± 10 % or 3 deg/s" in page
+    assert "In every record: initial state and constant biases fitted; a constant" in page
     outcome.report.with_name("written.json").unlink()
     again = run_study(read_study(copy / "study.toml")).report.read_text("utf-8")
     assert again == page  # from what was kept, bit for bit
