@@ -121,7 +121,9 @@ class Design(Shown):
         of = f"of {listed(self.matter)} " * bool(self.matter)
         parts = [
             f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors {of}"
-            f"{mean:.3g} times those of 3-2-1-1 (geometric mean), {worst:.3g} at worst ({name})",
+            f"{mean:.3g} times those of 3-2-1-1 (geometric mean), {worst:.3g} at worst ({name})"
+            + ", each with what is known before"
+            * bool(np.isfinite(self.before).any()),
             self._gain(mean),
             f"without {listed(self.untold)}, which no input tells apart" * bool(self.untold),
             self.warning(),

@@ -31,6 +31,8 @@ def design():
 
 def test_it_says_what_it_buys(design):
     assert "0.354 times those of 3-2-1-1 (geometric mean), 0.5 at worst" in repr(design)
+    assert "at worst (Lp), each with what is known before; " in design.headline()
+    assert "known before" not in replace(design, before=np.full(2, np.inf)).headline()
     worse = Alternative(name="steps", r=design.r, std_errors=np.array([1.022, 0.1]))
     other = replace(design, alternatives=(design.alternatives[0], worse))
     assert "1.02 at worst (Lp)" in other.headline()  # as the table has it, not 1
