@@ -20,7 +20,7 @@ from casid.embedding import StructureError
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.model import Model
-from casid.propagation import known_by_bounds, spread
+from casid.propagation import spread
 from casid.threads import one_thread
 
 DRAWS = 100  # of what a structure misses
@@ -113,7 +113,7 @@ def handling_band(
     error = None if error is None else error.of(fit)
     found = _settled(fit.model, omega, qualities)
     std, G = spread(fit, of), fit.model.system().response(omega)
-    said = found.remarks + tuple(filter(None, [known_by_bounds(fit)]))
+    said = found.remarks
     if (np.isnan(std) & np.isfinite(_numbers(found))).any():
         said += (
             "next to the estimate there is no such reading in the band, so that its standard "

@@ -235,10 +235,12 @@ def _read(
     J = matrices.slopes[:, rows, cols].T
     places = [list(fit.free_names).index(free.names[i]) for i in range(len(free.names))]
     C = np.full((len(fit.free_names),) * 2, np.nan) if fit.covariance is None else fit.covariance
-    stuck = np.array([fit[name].active for name in free.names], dtype=bool)
+    inside = C[np.ix_(places, places)]
+    on_bound = np.array([fit[name].active for name in free.names], dtype=bool)
+    stuck = on_bound & ~(np.diag(inside) > 0)
+    inside = np.where(stuck[:, None] | stuck, 0.0, inside)
     moves = np.abs(J) * free.scale[free.index]
     unknown = (moves[:, stuck] > NOTHING * moves.max(axis=1, keepdims=True)).any(axis=1)
-    inside = np.where(stuck[:, None] | stuck, 0.0, C[np.ix_(places, places)])
     variance = np.where(unknown, np.nan, np.einsum("ma,ab,mb->m", J, inside, J))
     poles = np.sort_complex(np.linalg.eigvals(matrices.blocks[0]))
     return matrices.N[rows, cols], np.sqrt(np.maximum(variance, 0.0)), poles

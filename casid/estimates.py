@@ -7,9 +7,10 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray
-from casid.fit import ConstraintEstimate, ParameterEstimate
+from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
 from casid.free import Free
 from casid.model import Model
+from casid.truncated import OnBounds
 
 ACTIVE = 1e-6  # distance to a bound, relative to the parameter's scale, that counts as on it
 NEAR = 1e-4  # the same, if the bound has a price
@@ -125,6 +126,34 @@ def holding(free: Free, values: Array, active: BoolArray) -> Array:
     rows = constraint_table(model, np.zeros(len(model.constraints())), free.constraint_sizes)
     held = np.array([row.active for row in rows])
     return np.vstack([bounds, free.constraint_slopes(values)[held]])
+
+
+def within(free: Free, values: Array, active: BoolArray, multipliers: Array) -> OnBounds:
+    """Those ``active`` (nf,) as what lies within its bounds; prices (nf,) of the parameter table.
+
+    Without those that have no room.
+    """
+    lower, upper = free.lower[free.index], free.upper[free.index]
+    at = np.flatnonzero(active & (upper > lower))
+    side = np.where(values - lower < upper - values, 1.0, -1.0)
+    return OnBounds(at, multipliers[at], side[at], (upper - lower)[at])
+
+
+def covariance_on_bounds(fit: AnyFit) -> Array:
+    """Covariance (nf, nf) of a fit with what is on bounds known to be there: a hypothesis.
+
+    ValueError: a fit without covariance.
+    """
+    if fit.covariance is None:
+        raise ValueError(f"a fit by {fit.method} has no covariance")
+    C = fit.covariance
+    on_bound = np.array([fit[name].active for name in fit.free_names], dtype=bool)
+    held = on_bound & (np.diag(C) > 0)
+    if not held.any() or not np.isfinite(C).all():
+        return C
+    follow = C[:, held] / np.sqrt(np.diag(C)[held])
+    inner = follow[held] / np.sqrt(np.diag(C)[held])[:, None]
+    return np.asarray(C - follow @ scipy.linalg.pinvh(inner) @ follow.T)
 
 
 def _without_room(free: Free, values: Array, active: BoolArray) -> BoolArray:

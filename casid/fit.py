@@ -27,10 +27,11 @@ class ParameterEstimate:
     ``multiplier`` is the price of the bound: the derivative of the estimator's optimal cost with
     respect to the position of the bound, per unit of the parameter. It is >= 0 on a lower bound,
     <= 0 on an upper one and 0 for a parameter inside its bounds. ``std_error`` is one standard
-    deviation, others on their bounds held there; NaN on a bound, and where the estimator has no
-    noise model. That of output error allows for residuals correlated in time and across outputs;
-    ``cramer_rao`` takes them for white and the model for true. That of `derivid` comes from the
-    stated errors of the responses, ``cramer_rao`` from the cost. ``insensitivity`` is 1/sqrt(F_ii).
+    deviation, which allows for others on bounds being within them, not on them; NaN on a bound, and
+    where the estimator has no noise model. That of output error allows for residuals correlated in
+    time and across outputs; ``cramer_rao`` takes them for white and the model for true, bounds that
+    hold for known. That of `derivid` comes from the stated errors of the responses, ``cramer_rao``
+    from the cost. ``insensitivity`` is 1/sqrt(F_ii).
     ``prior`` and ``prior_std`` are what was known before, NaN if nothing.
     """
 

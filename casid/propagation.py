@@ -6,24 +6,22 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.display import listed
 from casid.embedding import StructureError
 from casid.errors import warn
-from casid.fit import AnyFit
+from casid.fit import AnyFit, ParameterEstimate
 from casid.model import M, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
 
 STEP = 1e-3  # of a standard error
-NEAR = 1e-3  # of the way from its start: what is on a bound and not held elsewhere
 
 
 def sample_models(fit: "AnyFit", count: int, *, seed: int = 0) -> tuple[Model, ...]:
     """Models drawn from the normal distribution of a fit's errors, each within its bounds.
 
-    Parameters on a bound do not move. Models of a nonlinear structure's fit are nonlinear: what
-    takes linear ones, as `cover` does, sees each at its reference condition unless given
-    ``model.at(trim)`` of each.
+    Parameters on a bound move inward, as far as the data allow, and others with them. Models of a
+    nonlinear structure's fit are nonlinear: what takes linear ones, as `cover` does, sees each at
+    its reference condition unless given ``model.at(trim)`` of each.
 
     Parameters
     ----------
@@ -52,8 +50,24 @@ def drawn_models(
     rows = [fit[name] for name in names]
     center = np.array([row.value for row in rows])
     low, high = ([getattr(row, side) for row in rows] for side in ("lower", "upper"))
-    drawn = rng.multivariate_normal(center, C, size=count, method="eigh")
-    return tuple(_with(fit.model, names, each) for each in np.clip(drawn, low, high))
+    away = rng.multivariate_normal(np.zeros(len(C)), C, size=count, method="eigh")
+    drawn = np.clip(center + _inward(away, rows, C), low, high)
+    return tuple(_with(fit.model, names, each) for each in drawn)
+
+
+def _inward(away: Array, rows: Sequence[ParameterEstimate], C: Array) -> Array:
+    """Deviations (count, n), each the other way round where what is on a bound would leave it.
+
+    Of several the one that is farthest away of its errors tells.
+    """
+    at = [k for k, row in enumerate(rows) if row.active and C[k, k] > 0]
+    if not at:
+        return away
+    below = [rows[k].value - rows[k].lower < rows[k].upper - rows[k].value for k in at]
+    sized = away[:, at] / np.sqrt(np.diag(C)[at])
+    farthest = np.abs(sized).argmax(axis=1)
+    inside = np.where(below, 1.0, -1.0)[farthest] * sized[np.arange(len(sized)), farthest]
+    return np.where(inside < 0, -1.0, 1.0)[:, None] * away
 
 
 def spread(
@@ -98,10 +112,9 @@ def first_order(
 
 
 def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
-    """Free parameters and their covariance; those on a bound do not move.
+    """Free parameters and their covariance.
 
-    A `DataWarning` names those that have none because nothing determines them, and those that the
-    structure's own bounds hold.
+    A `DataWarning` names those that have none because nothing determines them.
     """
     if fit.covariance is None:
         raise ValueError(
@@ -114,31 +127,7 @@ def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
             f"the data do not determine {', '.join(np.array(fit.free_names)[unknown])}, which "
             "count as known here: what depends on them lacks their part of its error; fix some"
         )
-    if said := known_by_bounds(fit):
-        warn(said)
-    C = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
-    C[held], C[:, held] = 0.0, 0.0
-    return fit.free_names, C
-
-
-def known_by_bounds(fit: AnyFit) -> str:
-    """What to say of free parameters that bounds of the structure hold; empty without any.
-
-    Bounds that were asked for of a fit are hypotheses, under which what they hold is known.
-    """
-    infos, held = type(fit.model).infos(), []
-    for row in (fit[name] for name in fit.free_names if fit[name].active):
-        side = "lower" if row.value - row.lower < row.upper - row.value else "upper"
-        bound = getattr(row, side)
-        away = max(abs(row.guess - bound), abs(bound))  # ties hold others, away from their bounds
-        near = abs(row.value - bound) <= np.fmax(NEAR * away, row.insensitivity)
-        if near and bound == getattr(infos[row.name], side):
-            held.append(f"{row.name} = {row.value:.3g}")
-    counts = "counts as known exactly" if len(held) == 1 else "count as known exactly"
-    return (
-        f"{listed(held)}, on a bound of the structure, {counts}: what depends on it lacks what the "
-        "data allow within the bound; fits with it fixed there (fixed) and their costs tell"
-    ) * bool(held)
+    return fit.free_names, np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
 
 
 def _with(model: M, names: Sequence[str], values: Array) -> M:

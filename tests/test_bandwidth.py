@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from casid import DataWarning, Model, Record, Rows, Scalar, handling_band, output_error, parameter
+from casid import Model, Record, Rows, Scalar, handling_band, output_error, parameter
 
 NAMES = ("Lp", "tau")
 PAIR = ("phi", "lat")
@@ -109,15 +109,3 @@ def test_a_deviation_that_nothing_tells_is_told():
     assert found.bandwidth == pytest.approx(by_hand(fit["Lp"].value, fit["tau"].value)[0])
     assert np.isnan(found.bandwidth_std)
     assert "next to the estimate there is no such reading in the band" in found.headline()
-
-
-def test_a_delay_on_the_bound_of_the_structure_is_told_to_count_as_known():
-    fit = fitted()
-    held = [
-        replace(row, value=0.3, active=True, std_error=np.nan) if row.name == "tau" else row
-        for row in fit.parameters
-    ]
-    at_end = replace(fit, parameters=tuple(held), model=replace(fit.model, tau=0.3))
-    with pytest.warns(DataWarning, match="tau = 0.3, on a bound of the structure, counts as known"):
-        found = handling_band(at_end, PAIR, np.geomspace(0.2, 60.0, 60), attitude_command=True)
-    assert any("tau = 0.3, on a bound of the structure" in said for said in found.remarks)

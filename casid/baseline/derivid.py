@@ -24,6 +24,7 @@ from casid.estimates import (
     holding,
     on_bounds,
     parameter_table,
+    within,
 )
 from casid.fit import AnyFit, Fit
 from casid.free import free_parameters, violated
@@ -40,6 +41,7 @@ from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
 from casid.records import several
 from casid.threads import one_thread
+from casid.truncated import OnBounds, beside_bounds
 
 
 @checked_fields
@@ -169,7 +171,7 @@ def derivid(
         errors of the responses cause, H⁻¹ JᵀW C W J H⁻¹ with their covariance C. ``cramer_rao`` is
         √(H⁻¹)ᵢᵢ and ``insensitivity`` 1/√Hᵢᵢ, H the Gauss-Newton Hessian of the cost: T&R's
         figures, in which the noise is not. Where responses state no errors ``std_error`` is
-        √(H⁻¹)ᵢᵢ too, and a `DataWarning` says so. Parameters on a bound count as known.
+        √(H⁻¹)ᵢᵢ too, and a `DataWarning` says so.
 
     Raises
     ------
@@ -217,7 +219,14 @@ def _result(
     cr, insensitivity, bound = accuracy(jacobian, active, held)
     covariance = _scatter(problem, frf, jacobian, bound)
     scatter = np.full(len(cr), np.nan) if covariance is None else np.sqrt(np.diag(covariance))
-    std = cr if covariance is None else scatter
+    total = _beside_bounds(
+        jacobian,
+        within(free, values, active, best.multipliers),
+        held,
+        bound,
+        bound if covariance is None else covariance,
+    )
+    std = np.sqrt(np.diag(total))
     parameters = parameter_table(free, values, best.multipliers, std, insensitivity, cr, model)
     pairs = _pair_rows(problem, values)
     figures = zip(free.names, values, cr, insensitivity, scatter, strict=True)
@@ -236,7 +245,7 @@ def _result(
         ),
         constraints=constraint_table(solved, best.prices, free.constraint_sizes),
         held=held_directions(free, values, parameters),
-        covariance=bound if covariance is None else covariance,
+        covariance=total,
         free_names=free.names,
     )
 
@@ -281,6 +290,25 @@ def _scatter(
     total = white.spread(np.where(there[..., None], own[place], 0.0))
     priors = gain[:, 2 * n :] * c.prior_weight("decibel")
     return np.where(np.isfinite(bound), total + priors @ priors.T, bound)
+
+
+def _beside_bounds(
+    jacobian: Array, bounded: OnBounds, ties: Array, bound: Array, covariance: Array
+) -> Array:
+    """A covariance (nf, nf) with what parameters leave open within the bounds that they are on.
+
+    ``bound`` is H⁻¹ with these known.
+    """
+    if not len(bounded.at):
+        return covariance
+    anywhere = np.diag(np.sqrt(bounded.information(len(bound)) / 2))
+    nowhere = np.zeros(len(bound), dtype=bool)
+    K = accuracy(np.vstack([jacobian, anywhere]), nowhere, ties)[2]
+    told = np.isfinite(np.diag(covariance)) & (np.diag(bound) > 0)
+    wider = np.exp(np.mean(np.log(np.diag(covariance)[told] / np.diag(bound)[told])))
+    more = beside_bounds(K, bounded, float(wider) if told.any() else 1.0)
+    known = np.where(np.isnan(covariance), 0.0, covariance)  # on their bounds
+    return known + more
 
 
 def _pair_rows(problem: Condensed, values: Array) -> tuple[PairCost, ...]:

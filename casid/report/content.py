@@ -1,6 +1,5 @@
 """What a report is made of: frozen values, and the sections in which stages show theirs."""
 
-import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +11,6 @@ from casid.channels import UNITS
 from casid.consistency.flights import Repeats
 from casid.embedding import StructureError, structure_error
 from casid.envelope import flight_condition, linear_fit
-from casid.errors import DataWarning
 from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
@@ -188,11 +186,7 @@ class Content:
     def bands(self) -> dict[str, tuple[ModeBand, ...]]:
         """Modes with standard deviations of the fits that have a covariance."""
         fits = {name: fit for name, fit in self.fits.items() if fit.covariance is not None}
-        with warnings.catch_warnings():  # a caution tells what bounds hold
-            warnings.filterwarnings("ignore", ".* on a bound of the structure", DataWarning)
-            return {
-                name: mode_bands(fit, error=self.missed.get(name)) for name, fit in fits.items()
-            }
+        return {name: mode_bands(fit, error=self.missed.get(name)) for name, fit in fits.items()}
 
     @cached_property
     def missed(self) -> dict[str, StructureError]:

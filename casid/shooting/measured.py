@@ -23,6 +23,7 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.display import listed
 from casid.errors import warn
+from casid.estimates import covariance_on_bounds
 from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
 from casid.fit import AnyFit, Fit
@@ -101,7 +102,7 @@ class MeasuredResponses:
         values, P = fit.model.vector()[self._index], fit.notes.cramer_rao
         for each, told, (r, J) in zip(self._responses, far, self._parts(values), strict=True):
             F = J.T @ J
-            off = disagreement(Source(J.T @ r, F, _believed(r) * F), P, np.asarray(fit.covariance))
+            off = disagreement(Source(J.T @ r, F, _believed(r) * F), P, covariance_on_bounds(fit))
             size = each.misstated(self._matrices, values, float(np.trace(P @ F)))
             if off.significant and not told:
                 yield (

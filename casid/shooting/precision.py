@@ -7,8 +7,8 @@ import numpy as np
 import scipy
 import scipy.linalg
 
-from casid.arrays import Array
-from casid.estimates import ACTIVE, at_bounds, holding, on_bounds
+from casid.arrays import Array, BoolArray
+from casid.estimates import ACTIVE, at_bounds, holding, on_bounds, within
 from casid.nlp import Solution
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
@@ -121,7 +121,8 @@ def precision(programme: Programme, x: Array, multipliers: Array) -> tuple[Array
     ``multipliers`` are prices as `on_bounds` takes them.
     """
     n, lam = len(programme.free.index), _meant(programme, x, multipliers)
-    return lam, _precision(programme, np.append(lam / programme.scales.lam[:n], x[n:]))
+    x = np.append(lam / programme.scales.lam[:n], x[n:])
+    return lam, _precision(programme, x, multipliers)
 
 
 def _meant(programme: Programme, x: Array, multipliers: Array) -> Array:
@@ -137,7 +138,7 @@ def _meant(programme: Programme, x: Array, multipliers: Array) -> Array:
     return on_bounds(programme.free, programme.unpack(x).lam[:n], multipliers, felt)
 
 
-def _precision(programme: Programme, x: Array) -> Precision:
+def _precision(programme: Programme, x: Array, multipliers: Array) -> Precision:
     names = unknown_names(programme)
     try:
         F, follow = information(programme, x)
@@ -154,6 +155,7 @@ def _precision(programme: Programme, x: Array) -> Precision:
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     tied = int(ties[:, :n].any(axis=1).sum())
     coloured, records = _coloured(programme, x, known, follow, tied)
+    coloured += _beside_bounds(programme, x, multipliers, (F, ties, alone), (known, coloured))
     robust = np.where(np.isfinite(scaled), coloured, scaled)
     unit = np.outer(programme.scales.lam, programme.scales.lam)
     diagonal = np.diag(F)[:n]
@@ -167,6 +169,27 @@ def _precision(programme: Programme, x: Array) -> Precision:
         undetermined=lost,
         records=records,
     )
+
+
+def _beside_bounds(
+    programme: Programme,
+    x: Array,
+    multipliers: Array,
+    told: tuple[Array, Array, Array],
+    covariances: tuple[Array, Array],
+) -> Array:
+    """What parameters on bounds add to the covariance of the scaled unknowns, (nf, nf).
+
+    ``told`` are information, what holds the unknowns, and the information with others known.
+    """
+    free, (F, ties, alone) = programme.free, told
+    n, values, active = len(free.index), programme.unpack(x).lam, _on_bounds(programme, x)
+    bounded = within(free, values[: len(free.index)], active, multipliers)
+    if not len(bounded.at):
+        return np.zeros_like(F)
+    scale = programme.scales.lam[:n][bounded.at]
+    scaled = bounded._replace(slope=bounded.slope * scale, room=bounded.room / scale)
+    return uncertainty.beside_bounds(F, ties[active.sum() :], alone, scaled, covariances)
 
 
 def verdict(
@@ -235,12 +258,17 @@ def unknown_names(programme: Programme) -> tuple[str, ...]:
 def held(programme: Programme, x: Array) -> Array:
     """Gradients by the scaled unknowns of what holds them, (m, nf)."""
     # Parameters on a bound do not move, nor do ties and inequalities with no room left.
-    free = programme.free
-    n = len(free.index)
+    n = len(programme.free.index)
     values, scale = programme.unpack(x).lam[:n], programme.scales.lam[:n]
-    alone = np.maximum(np.diag(programme.blocks(x).Hll)[:n], 1e-300)
-    rows = holding(free, values, at_bounds(free, values, scale / np.sqrt(alone))) * scale
+    rows = holding(programme.free, values, _on_bounds(programme, x)) * scale
     return scipy.linalg.block_diag(rows, _filter_held(programme, x))
+
+
+def _on_bounds(programme: Programme, x: Array) -> BoolArray:
+    """Which free parameters (n,) are on a bound, as far as the data tell."""
+    n, scale = len(programme.free.index), programme.scales.lam
+    alone = np.maximum(np.diag(programme.blocks(x).Hll)[:n], 1e-300)
+    return at_bounds(programme.free, programme.unpack(x).lam[:n], scale[:n] / np.sqrt(alone))
 
 
 def _filter_held(programme: Programme, x: Array) -> Array:

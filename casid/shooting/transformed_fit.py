@@ -16,6 +16,7 @@ from casid.estimates import (
     holding,
     on_bounds,
     parameter_table,
+    within,
 )
 from casid.fit import AnyFit, Fit
 from casid.free import Free, violated
@@ -106,7 +107,7 @@ def _fit(
     lam = on_bounds(free, solution.x * programme.scales, multipliers, felt)
     model, ties = start.with_vector(free.full(lam)), programme.ties
     prices = -programme.n * solution.multipliers_g[: len(ties)] / ties
-    found = _precision(programme, solution.x, lam, estimated=estimated)
+    found = _precision(programme, solution.x, lam, multipliers, estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
     unsettled = (
@@ -152,7 +153,9 @@ def _insensitivity(state: State) -> Array:
         return np.asarray(1 / np.sqrt(np.maximum(np.diag(state.F), 0.0)))
 
 
-def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated: bool) -> Precision:
+def _precision(
+    programme: SpectralProgramme, x: Array, lam: Array, multipliers: Array, *, estimated: bool
+) -> Precision:
     """Precision of the free parameters; the robust one allows for correlated outputs.
 
     And for spectra that are estimated, of few lines: those held if ``estimated``, else those of the
@@ -164,7 +167,8 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
         return Precision(nothing, nothing, np.full(n, np.inf), (), free.names)
     span = free.scale[free.index]
     insensitivity = _insensitivity(state)
-    ties = holding(free, lam, at_bounds(free, lam, insensitivity)) * span
+    active = at_bounds(free, lam, insensitivity)
+    ties = holding(free, lam, active) * span
     unit = np.outer(span, span)
     pull = free.prior_residuals(lam)[1]
     alone = (sum(each.alone for each in state.residuals) + np.sum(pull**2, axis=0)) * span**2
@@ -185,7 +189,15 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
         collinear=uncertainty.collinearities(F, ties, free.names, alone),
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
-    return _allowing(found, known * unit, programme, state, lam, noise)
+    found = _allowing(found, known * unit, programme, state, lam, noise)
+    bounded = within(free, lam, active, multipliers)
+    if not len(bounded.at):
+        return found
+    at = bounded.at
+    bounded = bounded._replace(slope=bounded.slope * span[at], room=bounded.room / span[at])
+    both = known, np.where(np.isfinite(scaled), found.covariance / unit, 0.0)
+    more = uncertainty.beside_bounds(F, ties[active.sum() :], alone, bounded, both)
+    return replace(found, covariance=found.covariance + more * unit)
 
 
 class _Noise(NamedTuple):

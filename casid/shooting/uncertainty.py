@@ -13,8 +13,10 @@ import scipy
 import scipy.linalg
 from numpy.lib.stride_tricks import sliding_window_view
 
+from casid import truncated
 from casid.arrays import Array, BoolArray
 from casid.shooting.scores import NO_SCORES, PARTS, BlockScores, ProcessScores, RecordScores, summed
+from casid.truncated import OnBounds
 from casid.values import storable
 
 Sparse: TypeAlias = scipy.sparse.csc_array
@@ -126,6 +128,23 @@ def determined(F: Array, ties: Array, alone: Array | None = None) -> Array:
     unit, values, directions, lost = _directions(F, ties, alone)
     root = directions[:, ~lost] / np.sqrt(values[~lost])
     return np.asarray(root @ root.T * np.outer(unit, unit))
+
+
+def beside_bounds(
+    F: Array, ties: Array, alone: Array, held: OnBounds, covariances: tuple[Array, Array]
+) -> Array:
+    """Covariance (nf, nf) that parameters on bounds add to one in which they are known.
+
+    ``ties`` (m, nf) without the bounds, ``covariances`` (nf, nf) of white residuals and of those
+    that there are: colour widens what a bound leaves open as it does what else is estimated, in
+    the geometric mean.
+    """
+    more = held.information(len(F))
+    K = determined(F + np.diag(more), ties, alone + more)
+    white, coloured = (np.diag(each) for each in covariances)
+    told = (white > 0) & (coloured > 0) & np.isfinite(white)
+    wider = float(np.exp(np.mean(np.log(coloured[told] / white[told])))) if told.any() else 1.0
+    return truncated.beside_bounds(K, held, wider)
 
 
 def singular(names: Sequence[str]) -> str:

@@ -456,3 +456,18 @@ def test_a_value_known_before_keeps_the_error_it_was_known_with():
     std = 1e-2 * alone["Lp"].std_error  # the response adds next to nothing
     fit = derivid(Roll(), frf, starts=1, priors={"Lp": (alone["Lp"].value, std)})
     assert fit["Lp"].std_error == pytest.approx(std, rel=1e-2)
+
+
+def test_what_a_bound_leaves_open_is_what_is_known_without_it_but_for_one_side():
+    frf = response(Roll(), error=0.03, rng=np.random.default_rng(4))
+    free = derivid(Roll(), frf)
+    lower = free["Lp"].value + 0.5 * free["Lp"].std_error
+    fit = derivid(Roll(), frf, bounds={"Lp": (lower, 0.0)})
+    k, P = free.free_names.index("Lp"), free.covariance
+    assert fit["Lp"].active
+    held = P - np.outer(P[k], P[k]) / P[k, k]
+    expected = np.sqrt(np.diag(held + 0.680 * np.outer(P[k], P[k]) / P[k, k]))  # of N(-1/2, 1) > 0
+    for name, std in zip(fit.free_names, expected, strict=True):
+        if name != "Lp":
+            assert fit[name].std_error == pytest.approx(std, rel=0.1)
+    assert fit.covariance[k, k] == pytest.approx(0.680 * P[k, k], rel=0.2)
