@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray
-from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
+from casid.fit import ConstraintEstimate, ParameterEstimate
 from casid.free import Free
 from casid.model import Model
 from casid.truncated import OnBounds
@@ -128,32 +128,29 @@ def holding(free: Free, values: Array, active: BoolArray) -> Array:
     return np.vstack([bounds, free.constraint_slopes(values)[held]])
 
 
-def within(free: Free, values: Array, active: BoolArray, multipliers: Array) -> OnBounds:
-    """Those ``active`` (nf,) as what lies within its bounds; prices (nf,) of the parameter table.
+def within(
+    free: Free, values: Array, active: BoolArray, multipliers: Array, prices: Array
+) -> tuple[OnBounds, Array]:
+    """What lies within bounds: those ``active`` (nf,), inequalities with no room left; and ties.
 
-    Without those that have no room.
+    Ties are gradients (m, nf) by the free parameters of what leaves nothing open. ``multipliers``
+    (nf,) and ``prices`` are slopes of the cost as the tables have them.
     """
     lower, upper = free.lower[free.index], free.upper[free.index]
-    at = np.flatnonzero(active & (upper > lower))
-    side = np.where(values - lower < upper - values, 1.0, -1.0)
-    return OnBounds(at, multipliers[at], side[at], (upper - lower)[at])
-
-
-def covariance_on_bounds(fit: AnyFit) -> Array:
-    """Covariance (nf, nf) of a fit with what is on bounds known to be there: a hypothesis.
-
-    ValueError: a fit without covariance.
-    """
-    if fit.covariance is None:
-        raise ValueError(f"a fit by {fit.method} has no covariance")
-    C = fit.covariance
-    on_bound = np.array([fit[name].active for name in fit.free_names], dtype=bool)
-    held = on_bound & (np.diag(C) > 0)
-    if not held.any() or not np.isfinite(C).all():
-        return C
-    follow = C[:, held] / np.sqrt(np.diag(C)[held])
-    inner = follow[held] / np.sqrt(np.diag(C)[held])[:, None]
-    return np.asarray(C - follow @ scipy.linalg.pinvh(inner) @ follow.T)
+    rows, slopes = np.eye(len(values)), free.constraint_slopes(values)
+    table = constraint_table(
+        free.model.with_vector(free.full(values)), prices, free.constraint_sizes
+    )
+    held = np.array([row.active for row in table], dtype=bool)
+    value, low, high = (
+        np.append(own, [getattr(row, name) for row in table])
+        for own, name in ((values, "value"), (lower, "lower"), (upper, "upper"))
+    )
+    rows, on = np.vstack([rows, slopes]), np.append(active, held)
+    side, room = np.where(value - low < high - value, 1.0, -1.0), high - low
+    open_ = on & (room > 0)
+    slope = np.append(multipliers, prices)
+    return OnBounds(rows[open_], slope[open_], side[open_], room[open_]), rows[on & ~open_]
 
 
 def _without_room(free: Free, values: Array, active: BoolArray) -> BoolArray:

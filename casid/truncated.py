@@ -1,10 +1,10 @@
 """What a bound leaves open: a parameter on it lies within its bounds, it is not known to be there.
 
-Were the bounds let go, the parameters a on theirs would end d = −K g from them, of covariance S: K
-is their inverse information with the others following, g the slopes of the cost. What is known of
-the true a is N(d, S) within the bounds; its second moments about them, D, count as their errors,
-and V D Vᵀ as those of the parameters that follow them by V. A bound that noise alone has put an
-estimate on leaves all of its error, one that the data press against hard leaves none.
+Were bounds and inequalities with no room left let go, what they hold would end d = −K g from them,
+of covariance S: K is its inverse information with all else following, g the slopes of the cost.
+What is known of the true distances is N(d, S) within the bounds; their second moments D count as
+errors, V D Vᵀ of parameters that follow them by V. A bound that noise alone has put an estimate on
+leaves all of its error, one that the data press against hard leaves none.
 
 Moments by the sequential conditioning of A. Genz, Numerical computation of multivariate normal
 probabilities, J. Computational and Graphical Statistics 1, 1992.
@@ -22,37 +22,36 @@ FARTHEST = 30.0  # standard deviations beyond a bound: no probability is told fa
 
 
 class OnBounds(NamedTuple):
-    """Parameters on bounds, (k,): their places, slopes of the cost by them, and widths within."""
+    """What is on a bound, k combinations of n parameters."""
 
-    at: np.ndarray
-    slope: Array
-    side: Array  # 1 of a lower bound, -1 of an upper one
-    room: Array  # to the other bound, perhaps infinite
+    rows: Array  # (k, n)
+    slope: Array  # (k,) of the cost by each
+    side: Array  # (k,) 1 of a lower bound, -1 of an upper one
+    room: Array  # (k,) to the other bound, perhaps infinite
 
-    def information(self, n: int) -> Array:
-        """That lying anywhere within the bounds is worth, (n,): 12/room²."""
-        found = np.zeros(n)
-        found[self.at] = 12.0 / self.room**2
-        return found
+    @property
+    def information(self) -> Array:
+        """That lying anywhere within the bounds is worth, (n, n): 12/room² of each."""
+        return np.asarray((self.rows.T * (12.0 / self.room**2)) @ self.rows)
 
 
 def beside_bounds(K: Array, held: OnBounds, wider: float = 1.0) -> Array:
-    """Covariance (n, n) that parameters on bounds add to one in which they are known.
+    """Covariance (n, n) that what is on bounds adds to one in which it is known to be there.
 
     Of the inverse information K (n, n) with these bounds let go, and how many times the variance of
-    estimates is that by it. Zero of parameters of which K knows nothing.
+    estimates is that by it. Nothing is added of what K does not know.
     """
-    n = len(K)
-    told = np.isfinite(K[:, held.at]).all(axis=0) & (np.diag(K)[held.at] > 0)
-    at, side = held.at[told], held.side[told]
-    if not len(at):
-        return np.zeros((n, n))
-    inner = K[np.ix_(at, at)]
-    follow = scipy.linalg.solve(inner, K[at], assume_a="sym").T
-    beyond = -side * (inner @ held.slope[told])
-    flipped = np.outer(side, side)
-    D = second_moments(beyond, wider * inner * flipped, held.room[told]) * flipped
-    return np.asarray(follow @ D @ follow.T)
+    K = np.where(np.isfinite(K), K, 0.0)
+    rows = held.rows * held.side[:, None]  # inwards
+    told = np.einsum("ka,ab,kb->k", rows, K, rows) > 0
+    if not told.any():
+        return np.zeros_like(K)
+    rows, slope, room = rows[told], (held.side * held.slope)[told], held.room[told]
+    cross = K @ rows.T
+    inner = rows @ cross
+    size = np.sqrt(np.diag(inner))
+    follow = cross / size @ scipy.linalg.pinvh(inner / np.outer(size, size)) / size
+    return np.asarray(follow @ second_moments(-inner @ slope, wider * inner, room) @ follow.T)
 
 
 def second_moments(mean: Array, covariance: Array, room: Array) -> Array:

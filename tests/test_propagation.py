@@ -6,7 +6,6 @@ from truths.closed_roll import Roll as ClosedRoll
 from truths.closed_roll import noisy
 
 from casid import output_error, response_band, sample_models
-from casid.estimates import covariance_on_bounds
 from casid.propagation import spread
 
 
@@ -73,7 +72,7 @@ def test_bands_hold_that_a_bound_is_no_value(fit, free):
 def test_known_to_be_on_the_bound_the_errors_are_those_of_it_held(fit, domain):
     lower = fit["Lp"].value
     held = output_error(ClosedRoll(Lp=lower), noisy(seed=5), fixed=["Lp"], domain=domain)
-    known = covariance_on_bounds(fit)
+    known = fit.notes.on_bounds(fit.covariance)
     k = fit.free_names.index("Lp")
     np.testing.assert_allclose(known[k], 0.0, atol=1e-12)
     std = np.sqrt(np.diag(known))

@@ -43,7 +43,7 @@ def test_errors_about_an_estimate_on_a_bound_are_those_of_what_is_known(side):
     slope = (F @ (held - best))[:1]
     known = np.zeros((3, 3))
     known[1:, 1:] = np.linalg.inv(F[1:, 1:])
-    bounded = OnBounds(np.array([0]), slope, np.array([side]), np.array([np.inf]))
+    bounded = OnBounds(np.eye(3)[:1], slope, np.array([side]), np.array([np.inf]))
     found = known + beside_bounds(np.linalg.inv(F), bounded)
     drawn = rng.multivariate_normal(best, np.linalg.inv(F), size=1_000_000)
     off = drawn[side * drawn[:, 0] > 0] - held
@@ -52,8 +52,7 @@ def test_errors_about_an_estimate_on_a_bound_are_those_of_what_is_known(side):
 
 def test_what_nothing_is_known_of_adds_nothing():
     K = np.diag([np.inf, 1.0, 0.0])
-    bounded = OnBounds(np.array([0, 2]), np.ones(2), np.ones(2), np.full(2, np.inf))
+    bounded = OnBounds(np.eye(3)[[0, 2]], np.ones(2), np.ones(2), np.full(2, np.inf))
     assert not beside_bounds(K, bounded).any()
-    np.testing.assert_allclose(
-        OnBounds(np.array([1]), np.zeros(1), np.ones(1), np.array([2.0])).information(3), [0, 3, 0]
-    )
+    one = OnBounds(np.eye(3)[1:2], np.zeros(1), np.ones(1), np.array([2.0]))
+    np.testing.assert_allclose(one.information, np.diag([0, 3, 0]))

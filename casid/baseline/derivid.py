@@ -219,13 +219,9 @@ def _result(
     cr, insensitivity, bound = accuracy(jacobian, active, held)
     covariance = _scatter(problem, frf, jacobian, bound)
     scatter = np.full(len(cr), np.nan) if covariance is None else np.sqrt(np.diag(covariance))
-    total = _beside_bounds(
-        jacobian,
-        within(free, values, active, best.multipliers),
-        held,
-        bound,
-        bound if covariance is None else covariance,
-    )
+    open_, rigid = within(free, values, active, best.multipliers, best.prices)
+    noise = bound if covariance is None else covariance
+    total = _beside_bounds(jacobian, open_, rigid, bound, noise)
     std = np.sqrt(np.diag(total))
     parameters = parameter_table(free, values, best.multipliers, std, insensitivity, cr, model)
     pairs = _pair_rows(problem, values)
@@ -299,9 +295,9 @@ def _beside_bounds(
 
     ``bound`` is H⁻¹ with these known.
     """
-    if not len(bounded.at):
+    if not len(bounded.slope):
         return covariance
-    anywhere = np.diag(np.sqrt(bounded.information(len(bound)) / 2))
+    anywhere = bounded.rows * (np.sqrt(6.0) / bounded.room)[:, None]  # H = 2 JᵀJ
     nowhere = np.zeros(len(bound), dtype=bool)
     K = accuracy(np.vstack([jacobian, anywhere]), nowhere, ties)[2]
     told = np.isfinite(np.diag(covariance)) & (np.diag(bound) > 0)

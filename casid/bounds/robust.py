@@ -20,7 +20,6 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.estimates import covariance_on_bounds
 from casid.fit import AnyFit
 from casid.shooting.precision import OutputErrorNotes
 from casid.shooting.scores import left_out
@@ -101,7 +100,7 @@ def _whitener(fit: AnyFit, A: Array) -> tuple[Array, Array]:
     nothing = np.zeros((len(A), 0)), np.zeros((len(A), len(A)))
     if not isinstance(fit.notes, OutputErrorNotes) or fit.covariance is None or not len(A):
         return nothing
-    P, V = fit.notes.cramer_rao, covariance_on_bounds(fit)
+    P, V = fit.notes.cramer_rao, fit.notes.on_bounds(fit.covariance)
     if not (np.isfinite(P).all() and np.isfinite(V).all()):
         return nothing
     sizes = np.linalg.norm(A * np.sqrt(np.diag(P)), axis=1)

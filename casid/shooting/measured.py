@@ -23,7 +23,6 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.display import listed
 from casid.errors import warn
-from casid.estimates import covariance_on_bounds
 from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
 from casid.fit import AnyFit, Fit
@@ -100,9 +99,10 @@ class MeasuredResponses:
             pairs = listed([each for some in far for each in some])
             yield f"measured responses are farther off than their stated errors, {pairs}, {WHY}"
         values, P = fit.model.vector()[self._index], fit.notes.cramer_rao
+        known = fit.notes.on_bounds(np.asarray(fit.covariance))
         for each, told, (r, J) in zip(self._responses, far, self._parts(values), strict=True):
             F = J.T @ J
-            off = disagreement(Source(J.T @ r, F, _believed(r) * F), P, covariance_on_bounds(fit))
+            off = disagreement(Source(J.T @ r, F, _believed(r) * F), P, known)
             size = each.misstated(self._matrices, values, float(np.trace(P @ F)))
             if off.significant and not told:
                 yield (

@@ -367,11 +367,12 @@ def _result(
     point, final = programme.unpack(solution.x), programme.values(solution.x)
     n = len(free.index)
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
-    lam, found = precision(programme, solution.x, multipliers)
-    model, ties = start.with_vector(free.full(lam)), programme.ties
+    ties = programme.ties
+    prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :] / ties
+    lam, found = precision(programme, solution.x, multipliers, prices)
+    model = start.with_vector(free.full(lam))
     std, white = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     success, status = _verdict(outcome, found, violated(programme.free, lam))
-    prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :] / ties
     K, Q = evaluator.held_gain(point.lam), evaluator.densities(point.lam)
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     constant = np.isin(free.model.states, free.model.constant_states)

@@ -61,6 +61,8 @@ class OutputErrorNotes:
         in the records.
     hold : {"foh", "zoh"} or None
         What inputs did between the samples of all records; None where these differ in that.
+    beside_bounds : (nf, nf) array
+        What of ``Fit.covariance`` is that parameters on bounds may be within them.
     record_scores, record_information : (records, nf) and (records, nf, nf) array
         Of every record, all else following the parameters: the slope of its log-likelihood at the
         estimate, which in all is zero, and its information. None of white residuals.
@@ -79,11 +81,16 @@ class OutputErrorNotes:
     response_weights: tuple[Array, ...] = ()
     covered: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     hold: Hold | None = None
+    beside_bounds: Array = field(default_factory=lambda: np.zeros((0, 0)))
     record_scores: Array = field(default_factory=lambda: np.zeros((0, 0)))
     record_information: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
     def __post_init__(self) -> None:
         seal(self)
+
+    def on_bounds(self, covariance: Array) -> Array:
+        """A fit's covariance (nf, nf) with what is on bounds known to be there: a hypothesis."""
+        return covariance - self.beside_bounds if self.beside_bounds.size else covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +103,7 @@ class Precision:
     collinear: tuple[uncertainty.Collinearity, ...]  # hardly determined, the worst first
     undetermined: tuple[str, ...]  # parameters in directions without information
     records: RecordScores = NO_SCORES  # of whole records, by the free parameters
+    beside_bounds: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (n, n) in covariance
 
     def notes(
         self, rounds: int, nodes: int, nuisances: int, K: Array | None, Q: Array | None = None
@@ -110,19 +118,22 @@ class Precision:
             collinear=self.collinear,
             K=K,
             process_noise=Q,
+            beside_bounds=self.beside_bounds,
             record_scores=self.records[0],
             record_information=self.records[1],
         )
 
 
-def precision(programme: Programme, x: Array, multipliers: Array) -> tuple[Array, Precision]:
+def precision(
+    programme: Programme, x: Array, multipliers: Array, prices: Array
+) -> tuple[Array, Precision]:
     """Free values (n,) at a solver's scaled variables x, on the bounds that hold; their precision.
 
-    ``multipliers`` are prices as `on_bounds` takes them.
+    ``multipliers`` (n,) of the parameters and ``prices`` of the constraints are as in the tables.
     """
     n, lam = len(programme.free.index), _meant(programme, x, multipliers)
     x = np.append(lam / programme.scales.lam[:n], x[n:])
-    return lam, _precision(programme, x, multipliers)
+    return lam, _precision(programme, x, (multipliers, prices))
 
 
 def _meant(programme: Programme, x: Array, multipliers: Array) -> Array:
@@ -138,7 +149,7 @@ def _meant(programme: Programme, x: Array, multipliers: Array) -> Array:
     return on_bounds(programme.free, programme.unpack(x).lam[:n], multipliers, felt)
 
 
-def _precision(programme: Programme, x: Array, multipliers: Array) -> Precision:
+def _precision(programme: Programme, x: Array, slopes: tuple[Array, Array]) -> Precision:
     names = unknown_names(programme)
     try:
         F, follow = information(programme, x)
@@ -155,8 +166,8 @@ def _precision(programme: Programme, x: Array, multipliers: Array) -> Precision:
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     tied = int(ties[:, :n].any(axis=1).sum())
     coloured, records = _coloured(programme, x, known, follow, tied)
-    coloured += _beside_bounds(programme, x, multipliers, (F, ties, alone), (known, coloured))
-    robust = np.where(np.isfinite(scaled), coloured, scaled)
+    beside = _beside_bounds(programme, x, slopes, (F, alone), (known, coloured))
+    robust = np.where(np.isfinite(scaled), coloured + beside, scaled)
     unit = np.outer(programme.scales.lam, programme.scales.lam)
     diagonal = np.diag(F)[:n]
     with np.errstate(divide="ignore"):
@@ -164,6 +175,7 @@ def _precision(programme: Programme, x: Array, multipliers: Array) -> Precision:
     return Precision(
         cramer_rao=(scaled * unit)[:n, :n],
         covariance=(robust * unit)[:n, :n],
+        beside_bounds=(beside * unit)[:n, :n],
         insensitivity=insensitivity,
         collinear=uncertainty.collinearities(F, ties, names, alone),
         undetermined=lost,
@@ -174,22 +186,23 @@ def _precision(programme: Programme, x: Array, multipliers: Array) -> Precision:
 def _beside_bounds(
     programme: Programme,
     x: Array,
-    multipliers: Array,
-    told: tuple[Array, Array, Array],
+    slopes: tuple[Array, Array],
+    told: tuple[Array, Array],
     covariances: tuple[Array, Array],
 ) -> Array:
-    """What parameters on bounds add to the covariance of the scaled unknowns, (nf, nf).
+    """What is on bounds adds to the covariance of the scaled unknowns, (nf, nf).
 
-    ``told`` are information, what holds the unknowns, and the information with others known.
+    ``told`` are the information and that with the other variables known.
     """
-    free, (F, ties, alone) = programme.free, told
-    n, values, active = len(free.index), programme.unpack(x).lam, _on_bounds(programme, x)
-    bounded = within(free, values[: len(free.index)], active, multipliers)
-    if not len(bounded.at):
+    (F, alone), n = told, len(programme.free.index)
+    values, scale = programme.unpack(x).lam[:n], programme.scales.lam[:n]
+    bounded, ties = within(programme.free, values, _on_bounds(programme, x), *slopes)
+    if not len(bounded.slope):
         return np.zeros_like(F)
-    scale = programme.scales.lam[:n][bounded.at]
-    scaled = bounded._replace(slope=bounded.slope * scale, room=bounded.room / scale)
-    return uncertainty.beside_bounds(F, ties[active.sum() :], alone, scaled, covariances)
+    rows = np.pad(bounded.rows * scale, ((0, 0), (0, len(F) - n)))
+    holding_still = scipy.linalg.block_diag(ties * scale, _filter_held(programme, x))
+    scaled = bounded._replace(rows=rows)
+    return uncertainty.beside_bounds(F, holding_still, alone, scaled, covariances)
 
 
 def verdict(

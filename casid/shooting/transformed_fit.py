@@ -107,7 +107,7 @@ def _fit(
     lam = on_bounds(free, solution.x * programme.scales, multipliers, felt)
     model, ties = start.with_vector(free.full(lam)), programme.ties
     prices = -programme.n * solution.multipliers_g[: len(ties)] / ties
-    found = _precision(programme, solution.x, lam, multipliers, estimated=estimated)
+    found = _precision(programme, solution.x, lam, (multipliers, prices), estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
     unsettled = (
@@ -154,7 +154,12 @@ def _insensitivity(state: State) -> Array:
 
 
 def _precision(
-    programme: SpectralProgramme, x: Array, lam: Array, multipliers: Array, *, estimated: bool
+    programme: SpectralProgramme,
+    x: Array,
+    lam: Array,
+    slopes: tuple[Array, Array],
+    *,
+    estimated: bool,
 ) -> Precision:
     """Precision of the free parameters; the robust one allows for correlated outputs.
 
@@ -190,14 +195,13 @@ def _precision(
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
     found = _allowing(found, known * unit, programme, state, lam, noise)
-    bounded = within(free, lam, active, multipliers)
-    if not len(bounded.at):
+    bounded, rigid = within(free, lam, active, *slopes)
+    if not len(bounded.slope):
         return found
-    at = bounded.at
-    bounded = bounded._replace(slope=bounded.slope * span[at], room=bounded.room / span[at])
     both = known, np.where(np.isfinite(scaled), found.covariance / unit, 0.0)
-    more = uncertainty.beside_bounds(F, ties[active.sum() :], alone, bounded, both)
-    return replace(found, covariance=found.covariance + more * unit)
+    scaled_bounds = bounded._replace(rows=bounded.rows * span)
+    more = unit * uncertainty.beside_bounds(F, rigid * span, alone, scaled_bounds, both)
+    return replace(found, covariance=found.covariance + more, beside_bounds=more)
 
 
 class _Noise(NamedTuple):

@@ -133,14 +133,14 @@ def determined(F: Array, ties: Array, alone: Array | None = None) -> Array:
 def beside_bounds(
     F: Array, ties: Array, alone: Array, held: OnBounds, covariances: tuple[Array, Array]
 ) -> Array:
-    """Covariance (nf, nf) that parameters on bounds add to one in which they are known.
+    """Covariance (nf, nf) that what is on bounds adds to one in which it is known.
 
-    ``ties`` (m, nf) without the bounds, ``covariances`` (nf, nf) of white residuals and of those
-    that there are: colour widens what a bound leaves open as it does what else is estimated, in
-    the geometric mean.
+    ``ties`` (m, nf) are without the bounds, ``covariances`` (nf, nf) of white residuals and of
+    those that there are: colour widens what a bound leaves open as it does what else is estimated,
+    in the geometric mean.
     """
-    more = held.information(len(F))
-    K = determined(F + np.diag(more), ties, alone + more)
+    more = held.information
+    K = determined(F + more, ties, alone + np.diag(more))
     white, coloured = (np.diag(each) for each in covariances)
     told = (white > 0) & (coloured > 0) & np.isfinite(white)
     wider = float(np.exp(np.mean(np.log(coloured[told] / white[told])))) if told.any() else 1.0

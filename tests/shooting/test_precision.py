@@ -273,7 +273,7 @@ def test_information_is_that_of_least_squares_with_all_else_projected_out():
     own, rest = J[:, :n], J[:, n:]
     projected = own - rest @ np.linalg.lstsq(rest, own, rcond=None)[0]
     covariance = np.linalg.inv(projected.T @ projected)
-    found = precision(programme, x, np.zeros(n))[1]
+    found = precision(programme, x, np.zeros(n), np.zeros(0))[1]
     unit = np.outer(programme.scales.lam[:n], programme.scales.lam[:n])
     np.testing.assert_allclose(found.cramer_rao, covariance * unit, rtol=1e-4)
     alone = 1 / np.linalg.norm(projected, axis=0)
