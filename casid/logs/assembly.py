@@ -8,7 +8,8 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.consistency.lags import correlations, peak
 from casid.display import counted
-from casid.logs.conventions import Source, continuous
+from casid.logs.conventions import continuous
+from casid.logs.sources import Source
 from casid.record import FEWEST, MOST, Hold, Record
 from casid.samples import Between, at_instants, jumps, unwrapped
 from casid.studies.preparation import with_inputs

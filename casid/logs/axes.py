@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.logs.conventions import MOVES
+from casid.logs.commands import MOVES
 from casid.record import Record
 
 ANGLE = {"p": "phi", "q": "theta"}

@@ -1,7 +1,9 @@
 """Where logs keep channels of an aircraft, by PX4, ArduPilot or plain name, and in which units."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +19,12 @@ from casid.channels import (
     VELOCITIES,
     factor_of,
 )
+from casid.logs.commands import find_inputs
+from casid.logs.sources import Source, bare, moves, moving, source_of
 from casid.logs.topics import SI_OF, SPELT, Log, Topic
+from casid.logs.turns import attitudes
 from casid.samples import at_instants
 
-LARGEST = 1e6  # in SI, or whatever an input is in: no channel of an aircraft reaches it
-MEASURED = 0.5  # of a column's samples, without which it is none
 BODY = "body velocity"  # a topic of casid's own
 OUTPUTS: Mapping[str, tuple[str, ...]] = {  # first the best: measured, not estimated
     **{
@@ -56,44 +59,11 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {  # first the best: measured, not esti
     },
     **{name: (f"{BODY}.{name}",) for name in VELOCITIES},
 }
-ACTUATORS = ("actuator_outputs", "actuator_motors", "RCOU")  # topics of what drives the aircraft
-AXES = ("roll", "pitch", "yaw", "thrust")
-INPUTS: tuple[Mapping[str, str], ...] = (  # sets of which the first that moves is taken
-    {
-        "roll": "vehicle_torque_setpoint.xyz[0]",
-        "pitch": "vehicle_torque_setpoint.xyz[1]",
-        "yaw": "vehicle_torque_setpoint.xyz[2]",
-        "thrust": "-vehicle_thrust_setpoint.xyz[2]",
-    },
-    {name: f"actuator_controls_0.control[{k}]" for k, name in enumerate(AXES)},
-    {name: f"RATE.{'RPYA'[k]}Out" for k, name in enumerate(AXES)},
-    {"roll": "AETR.Ail", "pitch": "AETR.Elev", "yaw": "AETR.Rudd", "thrust": "AETR.Thr"},
-)
-STICKS = (("lat", "lon", "ped", "col"), AXES)  # of a recorder with names of its own
-MOVES = {  # the rate or force that an input moves
-    **dict.fromkeys(("roll", "lat"), "p"),
-    **dict.fromkeys(("pitch", "lon"), "q"),
-    **dict.fromkeys(("yaw", "ped"), "r"),
-    **dict.fromkeys(("thrust", "col"), "az"),
-}
 NED = (  # velocities north, east, down, and the attitude that goes with them
     (("vehicle_local_position", "vx", "vy", "vz"), "vehicle_attitude"),
     (("XKF1[0]", "VN", "VE", "VD"), "ATT"),
     (("NKF1", "VN", "VE", "VD"), "ATT"),
 )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Source:
-    """Where a channel comes from, and its values in SI, NaN where no instrument measures them.
-
-    ``unit`` is what the log, or the user, states of the column; None where its format fixes it.
-    """
-
-    place: str
-    topic: Topic
-    values: Array
-    unit: str | None = None
 
 
 def find_channels(
@@ -105,61 +75,40 @@ def find_channels(
     other way; names other than those of outputs are inputs, which replace those that would be
     found. ValueError: a column that is not there.
     """
-    given = {name: _source(log, place) for name, place in (asked or {}).items()}
+    given = {name: source_of(log, place) for name, place in (asked or {}).items()}
     if missing := [name for name, source in given.items() if source is None]:
         raise ValueError(
             f"{log.path}: there is no column {(asked or {})[missing[0]]!r} for {missing[0]}; name "
             "one as TOPIC.COLUMN of the topics listed by casid import --list"
         )
     named = {name: source for name, source in given.items() if source is not None}
+    inputs = {name: source for name, source in named.items() if name not in OUTPUTS}
+    driving = {each.place.removeprefix("-") for each in inputs.values()}
+    # ArduPilot's RATE.R is the roll rate: what is documented is nothing else by its name.
+    other = driving.union(*OUTPUTS.values())
     outputs = {}
     for name, places in OUTPUTS.items():
-        tried = (_source(log, place) for place in (*places, *_plain(log, name)))
-        first = next((each for each in tried if each is not None and _moves(each)), None)
-        if (found := named.get(name) or first) is not None:
+        tried = (source_of(log, place) for place in places if place not in driving)
+        known = (each for each in tried if each is not None and moves(each))
+        own = (each for each in moving(log, partial(_bears, name)) if each.place not in other)
+        if (found := named.get(name) or next(chain(known, own), None)) is not None:
             outputs[name] = found
-    inputs = {name: source for name, source in named.items() if name not in OUTPUTS}
-    sticks = ({n: own[0] for n in names if (own := _plain(log, n))} for names in STICKS)
-    for wanted in () if inputs else (*INPUTS, *sticks):
-        found_ = {name: _source(log, place) for name, place in wanted.items()}
-        inputs = {name: each for name, each in found_.items() if each is not None and _moves(each)}
-        if inputs:
-            break
-    return inputs, outputs
+    outputs |= {
+        name: each for name, each in attitudes(log, outputs).items() if each.place not in driving
+    }
+    outputs = {name: outputs[name] for name in OUTPUTS if name in outputs}
+    return inputs or find_inputs(log, outputs), outputs
+
+
+def _bears(name: str, topic: Topic, column: str) -> bool:
+    """Whether a column has that very name; P, I and D together are terms of a controller."""
+    return bare(column) == name and not {"p", "i", "d"} <= {x.lower() for x in topic.columns}
 
 
 def others(log: Log, name: str, taken: Source) -> list[Source]:
     """Columns of other topics that hold the same output."""
-    found = (_source(log, place) for place in OUTPUTS[name])
+    found = (source_of(log, place) for place in OUTPUTS[name])
     return [each for each in found if each is not None and each.topic is not taken.topic]
-
-
-def _moves(source: Source) -> bool:
-    known = source.values[np.isfinite(source.values)]
-    return bool(len(known) and np.ptp(known) > 0)
-
-
-def _plain(log: Log, name: str) -> list[str]:
-    """Columns of exactly that name, in any topic."""
-    return [
-        f"{topic.name}.{column}"
-        for topic in log.topics.values()
-        for column in topic.columns
-        if column.lower() == name
-    ]
-
-
-def _source(log: Log, place: str) -> Source | None:
-    found = log.find(place.removeprefix("-"))
-    if found is None or len(found[0].t) < 4:
-        return None
-    topic, values = found[0], np.where(np.abs(found[1]) < LARGEST, found[1], np.nan)
-    if np.isfinite(values).mean() < MEASURED:
-        return None
-    unit = topic.units.get(place.removeprefix("-").removeprefix(f"{topic.name}."))
-    return Source(
-        place=place, topic=topic, values=-values if place[0] == "-" else values, unit=unit
-    )
 
 
 def derived(log: Log) -> Log:
@@ -170,7 +119,7 @@ def derived(log: Log) -> Log:
             topic, reference = topics[name], replace(log, topics=topics)
             places = [place for name in ATTITUDES for place in OUTPUTS[name]]
             own = [place for place in places if place.startswith(f"{attitude}.")]
-            angles = [_source(reference, place) for place in own]
+            angles = [source_of(reference, place) for place in own]
             if set(velocity) <= set(topic.columns) and all(angles):
                 speeds = [topic.columns[each] for each in velocity]
                 held = [

@@ -19,9 +19,8 @@ from casid.excitations import excitation_if_any
 from casid.files import write_csv
 from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
 from casid.logs.axes import axes_structure
+from casid.logs.commands import still, undriven
 from casid.logs.conventions import (
-    ACTUATORS,
-    Source,
     check_units,
     derived,
     find_channels,
@@ -29,6 +28,7 @@ from casid.logs.conventions import (
     with_units,
 )
 from casid.logs.reading import read_log
+from casid.logs.sources import Source
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
 from casid.logs.topics import Log
 from casid.model import Model
@@ -271,10 +271,10 @@ def _check_found(
     """Refuse a log that lacks what the structure, or any, needs."""
     wanted = () if structure is None else (*structure.inputs, *structure.outputs)
     missing = [name for name in wanted if name not in inputs and name not in outputs]
-    if not missing and not inputs:
-        missing = ["inputs"]
     if not missing and not set(outputs) & set(RATES):
         missing = ["rates (p, q, r)"]
+    if not missing and not inputs:
+        raise ValueError(undriven(log, outputs))
     if missing:
         raise ValueError(
             f"{log.path}: no column is known for {missing[0]}; name it: --column "
@@ -289,14 +289,8 @@ def _doubts(
 
     And what is wild in them.
     """
-    still = [
-        f"{name} never moves: nothing is driven, so nothing flies"
-        for name in ACTUATORS
-        if name in log.topics
-        and not any(np.nanstd(x) > 0 for x in log.topics[name].columns.values())
-    ]
     found = excitation_if_any([record.shift(moves) for record in sound])
-    return (*still, *_wild(flown, sound), *(found.doubts() if found is not None else ()))
+    return (*still(log), *_wild(flown, sound), *(found.doubts() if found is not None else ()))
 
 
 def _wild(flown: Sequence[Record], sound: Sequence[Record]) -> tuple[str, ...]:

@@ -15,7 +15,8 @@ from casid.logs.assembly import (
     lateness,
     usual_dt,
 )
-from casid.logs.conventions import Source, derived, find_channels, others
+from casid.logs.conventions import derived, find_channels, others
+from casid.logs.sources import Source
 from casid.logs.topics import Topic
 
 

@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from casid.logs.conventions import (
     BODY,
-    Source,
     check_units,
     continuous,
     derived,
@@ -15,6 +14,7 @@ from casid.logs.conventions import (
     others,
     with_units,
 )
+from casid.logs.sources import Source
 from casid.logs.topics import Log, Topic
 
 T = np.arange(20.0)
@@ -37,6 +37,18 @@ def test_quaternions_become_euler_angles():
     columns = found.topics["vehicle_attitude"].columns
     for name, wanted in zip(("psi", "theta", "phi"), angles.T, strict=True):
         np.testing.assert_allclose(columns[name], wanted, atol=1e-12)
+
+
+def test_a_documented_column_is_no_other_rate_by_its_name():
+    p, q, still = *random(2), np.zeros(len(T))
+    _, outputs = find_channels(log(RATE={"R": p, "P": q, "Y": still}))
+    assert {name: each.place for name, each in outputs.items()} == {"p": "RATE.R", "q": "RATE.P"}
+
+
+def test_terms_of_a_controller_are_no_rates():
+    (p,) = random()
+    _, outputs = find_channels(log(PIDR={"P": p, "I": p, "D": p}, own={"P": p}))
+    assert {name: each.place for name, each in outputs.items()} == {"p": "own.P"}
 
 
 def test_velocities_north_east_down_become_those_of_the_body():

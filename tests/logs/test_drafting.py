@@ -126,6 +126,23 @@ def test_logs_that_cannot_make_a_study_are_refused_in_words(tmp_path, write, sai
     assert not (tmp_path / "log").exists()
 
 
+@pytest.mark.second
+def test_surfaces_are_inputs_and_roll_beside_them_is_an_attitude(tmp_path):
+    _, x = flight(20.0)
+    named = {"Aileron": "roll", "Rudder": "yaw", "Roll": "phi", "Pitch": "theta"}
+    named |= {name: name for name in "pqr"}
+    wave = {"wf_increment": STEP, "wf_start_offset": 0.0}
+    with nptdms.TdmsWriter(tmp_path / "own.tdms") as writer:
+        writer.write_segment([nptdms.ChannelObject("f", n, x[k], wave) for n, k in named.items()])
+    draft = import_log(tmp_path / "own.tdms")
+    assert {n: each.place for n, each in draft.inputs.items()} == {
+        "aileron": "f.Aileron", "rudder": "f.Rudder",
+    }  # fmt: skip
+    assert list(draft.outputs) == ["p", "q", "r", "phi", "theta"]
+    model = read_study(draft.study).model
+    assert (model.inputs, model.outputs) == (("aileron", "rudder"), ("p", "r", "phi"))
+
+
 @pytest.mark.slow
 def test_units_that_a_log_does_not_state_are_told_and_unknown_ones_refused(tmp_path):
     path = tmp_path / "log.tdms"
