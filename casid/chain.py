@@ -17,6 +17,7 @@ from casid.model import Bounds, M
 from casid.nlp import Progress
 from casid.record import Record
 from casid.records import several
+from casid.repetition import repeats_known, tell_repeats
 from casid.report.content import Timing
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.choice import StepChoice
@@ -157,7 +158,9 @@ def identify(
     check_task(task)
     for said in repeats({role: each for role, each in roles.items() if each}).told():
         warnings.warn(said, DataWarning, stacklevel=2)
-    found = run_stages(task, keep=compute if progress is None else _telling(progress))
+    tell_repeats([record for each in roles.values() for record in each])
+    with repeats_known():
+        found = run_stages(task, keep=compute if progress is None else _telling(progress))
     for failure in found.failures.values():
         raise failure
     return Identification(results=found.results)

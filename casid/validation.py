@@ -34,6 +34,7 @@ from casid.prediction import (
 )
 from casid.record import Record
 from casid.records import Records, datum, same_channels, standard_deviations, stretches
+from casid.repetition import tell_repeats
 from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
@@ -210,6 +211,7 @@ def validate(
     for name, system in systems.items():
         _check(name, system, records, biased)
     every = list(systems.values())
+    tell_repeats(records, {name for system in every for name in system.outputs})
     far = [prediction_plan(every, record, horizon, closed_loop) for record in records]
     predictions = {
         name: [

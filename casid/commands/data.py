@@ -31,6 +31,7 @@ from casid.exchange import formats
 from casid.folder import check_target
 from casid.model import Model
 from casid.record import Hold, Record
+from casid.repetition import repeats_known
 from casid.report.tables import cells
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_flights
@@ -94,7 +95,8 @@ def inspect_command(
                 time=time != TIME_COLUMN,
             )
             study = read_study(Path(first))
-            records: Sequence[Record] = read_flights(study)[0]["identification"]
+            with repeats_known():  # the advice names them, one by one
+                records: Sequence[Record] = read_flights(study)[0]["identification"]
             model: Model | None = study.model
             held: Any = {"fixed": study.fixed, "bounds": study.bounds}
             named: Any = {"time": study.channels.time, "stated": study.channels.units}

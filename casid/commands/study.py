@@ -26,6 +26,7 @@ from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.record import Record
 from casid.records import steps_told, units_told
+from casid.repetition import repeats_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
 from casid.stages.listing import STAGES, stages_in_words, tables_of_stages
@@ -312,7 +313,8 @@ def _describe(console: Console, study: Study) -> None:
     units = units_told(list(rest.values()))  # of the others it is a warning
     for said in (*again.told(), *steps, *units, *unread, *untold, *_idle(study)):
         caution(console, said)
-    if again.told() or unread or units or units_told(estimated):
+    held = repeats_told([*estimated, *rest.values()], study.channels.outputs)  # a warning, too
+    if again.told() or unread or units or units_told(estimated) or held:
         console.print("Mend the records first.")
     else:
         console.print("Mend the structure first." if untold else "The study is in order.")

@@ -20,6 +20,7 @@ from casid.frequency.leakage import over_three
 from casid.frequency.response import FrequencyResponse
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
+from casid.repetition import repeats_known, tell_repeats
 from casid.values import storable
 
 RATIO = 1.5  # of two amplitudes, at least
@@ -101,8 +102,10 @@ def distortion(records: Records, *, omega: Array | None = None) -> Distortion:
     flown = stretches(records)
     inputs, outputs = same_channels(flown)
     groups, sizes = _by_amplitude(flown)
-    grid = SpectralAnalysis(omega=omega).fit(groups[1]).omega
-    low, high = (SpectralAnalysis(omega=grid).fit(group) for group in groups)
+    tell_repeats(flown)
+    with repeats_known():
+        grid = SpectralAnalysis(omega=omega).fit(groups[1]).omega
+        low, high = (SpectralAnalysis(omega=grid).fit(group) for group in groups)
     both = (low.random_error < KNOWN) & (high.random_error < KNOWN)
     noise, excess = _difference(low, high, both)
     mean = np.abs(low.G + high.G) / 2

@@ -31,6 +31,7 @@ from casid.frequency.spectra import (
 )
 from casid.record import Record
 from casid.records import Records, same_channels, standard_deviations, still, stretches
+from casid.repetition import tell_repeats
 from casid.threads import one_thread
 
 KEPT = 0.5  # share of an input's power in windows without long losses, of all records
@@ -131,7 +132,7 @@ class SpectralAnalysis:
             records=tuple(record.name for record in records),
             fingerprints=tuple(fingerprint(record) for record in plain), printed=(),
         )  # fmt: skip
-        _warn(found, silent)
+        _warn(found, silent, plain)
         return found
 
     def _channels(self, records: Sequence[Record]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -335,7 +336,8 @@ def _listed(why: Mapping[str, BoolArray]) -> dict[str, tuple[int, ...]]:
     return {word: tuple(int(k) for k in np.flatnonzero(at)) for word, at in why.items() if at.any()}
 
 
-def _warn(found: FrequencyResponse, silent: Sequence[str]) -> None:
+def _warn(found: FrequencyResponse, silent: Sequence[str], records: Sequence[Record]) -> None:
+    tell_repeats(records)
     for reason, at in found.flags.items():
         worst = np.nanmax(found.condition[list(at)]) if "condition" in reason else np.nan
         number = "" if np.isnan(worst) else f" (up to {worst:.3g})"

@@ -31,6 +31,7 @@ from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import Records, check_alive, common_hold, several, stretches
+from casid.repetition import tell_repeats
 from casid.shooting import uncertainty
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise, check_gain
@@ -309,6 +310,7 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
             "initial states, biases), too few to estimate from: add records, or fix parameters"
         )
     check_alive(chosen)
+    tell_repeats(chosen)
     return chosen
 
 

@@ -24,6 +24,7 @@ from casid.arrays import Array
 from casid.display import listed
 from casid.errors import warn
 from casid.nonlinear.model import NonlinearModel
+from casid.repetition import repeats_told
 from casid.shooting.programme import Programme
 from casid.subspace.feedback import followed
 
@@ -133,7 +134,7 @@ def warn_of_followed(programme: Programme, x: Array) -> None:
     y = np.nan_to_num(np.concatenate([record.y for record in records]))
     residuals = [r * (power > ROUNDING**2 * np.mean(y**2, axis=0)) for r in whitened(programme, x)]
     coloured, followers = followed(residuals, [r.u for r in records], dt, now=now)
-    if not followers.any():
+    if not followers.any() or repeats_told(records):  # held samples colour them, and are told
         return
     outputs, inputs = (
         listed([name for name, which in zip(names, found, strict=True) if which])

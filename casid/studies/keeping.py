@@ -20,6 +20,7 @@ from casid.jobs.campaigns import CampaignProgress, Execution
 from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
 from casid.jobs.store import Done, Store
 from casid.nlp import Progress
+from casid.repetition import repeats_known
 from casid.report.content import Timing
 from casid.stages.stage import LeftOutError, Stage, Task, watched
 from casid.studies.study import Study
@@ -199,7 +200,8 @@ def _made(stage: Stage, settings: Any, task: Task) -> Done:  # noqa: ANN401
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DataWarning)
-        result = stage.run(settings, task)
+        with repeats_known():  # as the records were read
+            result = stage.run(settings, task)
     said = tuple(dict.fromkeys(str(each.message) for each in caught))
     return Done(result=result, seconds=time.perf_counter() - start, warnings=said)
 

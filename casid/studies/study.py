@@ -27,6 +27,7 @@ from casid.frozen import frozen
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
+from casid.repetition import tell_repeats
 from casid.saturation import longest_stop, saturated
 from casid.stages.stage import ROLES, Role, Stage, Task
 from casid.studies.preparation import Cutting, Mending, SecondLogger, tell_doubled, with_inputs
@@ -234,6 +235,7 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
         study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
     for record in measured.values():
         _tell_lost(record)
+    _tell_repeats(study, measured, done)
     flown = {role: [measured[file] for file in each.files] for role, each in study.roles.items()}
     return {role: done[role] for role in ROLES if role in done}, repeats(flown)
 
@@ -246,6 +248,18 @@ def _tell_lost(record: Record) -> None:
         values = record.channel(name)
         if n := longest_stop(values[np.isfinite(values)], stick=False):
             warn(f"Record {saturated(record.name, name, n, stick=False)}")
+
+
+def _tell_repeats(
+    study: Study, measured: Mapping[Path, Record], done: Mapping[Role, Sequence[Record]]
+) -> None:
+    """Warn of repeated samples that stay, also where resampling or a shift in time hide them."""
+    if study.channels.mending.fresh:
+        return
+    whole = {role: study.roles[role].cutting.decimate == 1 for role in done}
+    kept = [measured[file] for role in done if whole[role] for file in study.roles[role].files]
+    thinned = [record for role in done if not whole[role] for record in done[role]]
+    tell_repeats([*kept, *thinned], study.channels.outputs)
 
 
 def _check_names(study: Study) -> None:

@@ -194,6 +194,47 @@ def test_check_of_records_in_units_unlike_is_not_in_order(tmp_path, name):
     assert said.endswith("Mend the records first.")
 
 
+def slowed(path, every=5):
+    """The study, its records logged ``every`` times faster than their sensors measure."""
+    path.write_text(path.read_text().replace("noise = true", ""))
+    for name in ("3211", "sweep", "random"):
+        file = path.parent / f"{name}.csv"
+        header, *rows = file.read_text().splitlines()
+        inputs = len([cell for cell in header.split(",") if cell.split()[0] in ("t", "lat")])
+        cells = [row.split(",") for row in rows]
+        held = [row[:inputs] + cells[k // every * every][inputs:] for k, row in enumerate(cells)]
+        file.write_text("\n".join([header, *map(",".join, held)]) + "\n")
+    return path
+
+
+HELD = "p, phi repeat samples of a source slower than the logger"
+
+
+@pytest.mark.filterwarnings("always:.* repeat samples")
+def test_check_of_records_with_repeated_outputs_is_not_in_order(tmp_path):
+    path = slowed(write_study(tmp_path))
+    said = " ".join(casid("check", path).output.split())
+    assert said.count(HELD) == 1
+    assert said.endswith("Mend the records first.")
+    moved = path.read_text().replace(
+        "[channels.units]", "[channels]\nshift = { phi = -0.01 }\n[channels.units]"
+    )
+    path.write_text(moved)
+    assert " ".join(casid("check", path).output.split()).count(HELD) == 1
+    path.write_text(moved.replace("shift =", 'repeats = "mask"\nshift ='))
+    assert HELD not in " ".join(casid("check", path).output.split())
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("always:.* repeat samples")
+def test_a_study_tells_of_repeated_outputs_as_it_reads_and_in_its_report(tmp_path):
+    path = slowed(write_study(tmp_path))
+    result = casid("identify", path)
+    assert result.exit_code == 0, result.output
+    assert " ".join(result.output.split()).count(HELD) == 2  # at once, and among the cautions
+    assert (tmp_path / "out" / "report.html").read_text().count(HELD) == 1
+
+
 def test_check_tells_that_losses_leave_no_frequency_response(tmp_path):
     path = write_study(tmp_path)
     sweeps = '[records.frequency]\nfiles = ["sweep.csv"]'

@@ -1,6 +1,7 @@
 """Whether innovations are white, against noise that is and gusts that are not."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -260,3 +261,14 @@ def test_a_nonlinear_structure_is_told_its_way_to_a_filter():
     told = FOLLOWED + r".*process_noise=True \(filter error\) and RollingFreely\(\)\.at\(trim\)"
     with pytest.warns(DataWarning, match=told):
         output_error(RollingFreely(), records)
+
+
+@pytest.mark.slow
+def test_of_held_outputs_the_repeats_are_told_and_not_what_follows_them():
+    flown = [rolled(seed, 0.02, [0.1, 0.3]) for seed in range(1, 5)]
+    held = [replace(each, y=each.y[np.arange(each.N) // 2 * 2]) for each in flown]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataWarning)
+        output_error(Roll(), held)
+    (said,) = [str(each.message) for each in caught]
+    assert said.startswith("p, phi repeat samples")
