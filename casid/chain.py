@@ -17,7 +17,7 @@ from casid.model import Bounds, M
 from casid.nlp import Progress
 from casid.record import Record
 from casid.records import several
-from casid.repetition import repeats_known, tell_repeats
+from casid.repeats import repeats_known, tell_repeats
 from casid.report.content import Timing
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.choice import StepChoice

@@ -1,27 +1,21 @@
 """Samples that only repeat the one before: a slower source read at the rate of a faster logger."""
 
-import warnings
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray
-from casid.display import listed
-from casid.errors import DataWarning, warn
 from casid.record import Record
 from casid.samples import known_inputs
 
 SHARE = 0.02  # of the samples while a channel moves, from which on it counts as held
 LONGER = 3.0  # times the usual run of equal samples: rest; or times what chance makes
 SHORT = 5  # samples of such a run that are no rest in any case
-ROUNDING = 1e-12  # of the largest value: a smaller step is none
+ROUNDING = 1e-12  # of the largest values: a smaller step is none
+MOST = 0.99  # of the samples: a larger one may be an outlier of any size
 IDLE, AROUND = 0.1, 7  # of the usual step: neighbouring runs that all differ by less are rest
 FINE = 0.2  # small steps over usual ones; above, a channel is counted in coarse steps
-ALIKE = 1.05  # times the interval of a source, from which on another is slower
-SOURCE = "of a source slower than the logger"
 
 
 def repeated(record: Record) -> BoolArray:
@@ -37,58 +31,12 @@ def repeated(record: Record) -> BoolArray:
     (N, nu + ny) bool array
         Inputs, then outputs.
     """
-    return np.column_stack([_repeated(x) for x in np.hstack([record.u, record.y]).T])
+    return np.column_stack([repeats_of(x) for x in np.hstack([record.u, record.y]).T])
 
 
 def source_interval(record: Record, marks: BoolArray, channel: int) -> float:
     """Interval [s] of the source behind a channel with these ``marks`` of `repeated`."""
-    return _interval(record.dt, np.hstack([record.u, record.y])[:, channel], marks[:, channel])
-
-
-def held_outputs(record: Record, outputs: Collection[str] | None = None) -> dict[str, float]:
-    """Interval [s] of the source of those ``outputs``, all unless given, that repeat samples."""
-    pairs = zip(record.outputs, record.y.T, strict=True)
-    own = ((name, x) for name, x in pairs if outputs is None or name in outputs)
-    marks = ((name, x, _repeated(x)) for name, x in own)
-    return {name: _interval(record.dt, x, held) for name, x, held in marks if held.any()}
-
-
-def repeats_told(records: Sequence[Record], outputs: Collection[str] | None = None) -> str:
-    """A sentence on those ``outputs``, all unless given, that repeat samples; "" if none do."""
-    every = list({id(record): record for record in records}.values())
-    looked = [(record, held_outputs(record, outputs)) for record in every]
-    found = [(record, held) for record, held in looked if held]
-    if not found:
-        return ""
-    names = list(dict.fromkeys(name for _, held in found for name in held))
-    where = list(dict.fromkeys(repr(record.name) for record, _ in found))
-    some = f" in record{'s' * (len(where) > 1)} {listed(where)}" * (len(found) < len(every))
-    intervals = [interval for _, held in found for interval in held.values()]
-    rates = f"{1 / max(intervals):.3g}"
-    if max(intervals) > ALIKE * min(intervals):
-        rates += f" to {1 / min(intervals):.3g}"
-    logged = f"{1 / min(record.dt for record, _ in found):.3g}"
-    late = max(max(held.values()) - record.dt for record, held in found) / 2
-    return (
-        f"{listed(names, 10)} repeat{'s' * (len(names) == 1)} samples {SOURCE}{some}: {rates} Hz, "
-        f"logged at {logged} Hz. Taken for measurements, they make delays up to "
-        f"{1e3 * late:.3g} ms too long and standard errors too small: take the repeated ones for "
-        'missing (without_repeats; repeats = "mask" in [channels] of a study)'
-    )
-
-
-def tell_repeats(records: Sequence[Record], outputs: Collection[str] | None = None) -> None:
-    """Warn of those ``outputs``, all unless given, that repeat samples."""
-    if said := repeats_told(records, outputs):
-        warn(said)
-
-
-@contextmanager
-def repeats_known() -> Iterator[None]:
-    """Within, estimators do not warn of repeated samples: who runs them has told of all."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", f".* samples {SOURCE}", DataWarning)
-        yield
+    return interval_of(record.dt, np.hstack([record.u, record.y])[:, channel], marks[:, channel])
 
 
 def without_repeats(record: Record) -> Record:
@@ -119,18 +67,21 @@ def least_step(x: Array) -> float:
     return float(np.quantile(moves[moves > 0], 0.05)) if quantised(seen) and moves.any() else 0.0
 
 
-def _interval(dt: float, x: Array, marks: BoolArray) -> float:
+def interval_of(dt: float, x: Array, marks: BoolArray) -> float:
     """Interval [s] of the source of a channel (N,), logged every ``dt`` seconds."""
     resting = np.concatenate([[False], np.diff(x) == 0]) & ~marks
     fresh = np.isfinite(x) & ~(resting | marks)
     return float(dt * (~resting).sum() / max(fresh.sum(), 1))
 
 
-def _repeated(x: Array) -> BoolArray:
+def repeats_of(x: Array) -> BoolArray:
+    """Those of one channel (N,), as `repeated` marks them."""
     none = np.zeros(len(x), dtype=bool)
     at = np.flatnonzero(np.isfinite(x))
     steps = np.diff(x[at])
-    steps[np.abs(steps) <= ROUNDING * np.abs(x[at]).max(initial=0.0)] = 0.0
+    if len(steps) < 2:
+        return none
+    steps[np.abs(steps) <= ROUNDING * np.quantile(np.abs(x[at]), MOST)] = 0.0
     moves = np.abs(steps[steps != 0])
     if len(moves) < 2:
         return none

@@ -34,7 +34,7 @@ from casid.prediction import (
 )
 from casid.record import Record
 from casid.records import Records, datum, same_channels, standard_deviations, stretches
-from casid.repetition import tell_repeats
+from casid.repeats import tell_repeats
 from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread

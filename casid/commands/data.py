@@ -31,7 +31,7 @@ from casid.exchange import formats
 from casid.folder import check_target
 from casid.model import Model
 from casid.record import Hold, Record
-from casid.repetition import repeats_known
+from casid.repeats import repeats_known
 from casid.report.tables import cells
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_flights

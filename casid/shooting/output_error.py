@@ -31,7 +31,7 @@ from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import Records, check_alive, common_hold, several, stretches
-from casid.repetition import tell_repeats
+from casid.repeats import tell_repeats
 from casid.shooting import uncertainty
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise, check_gain

@@ -24,7 +24,7 @@ from casid.arrays import Array
 from casid.display import listed
 from casid.errors import warn
 from casid.nonlinear.model import NonlinearModel
-from casid.repetition import repeats_told
+from casid.repeats import repeats_told
 from casid.shooting.programme import Programme
 from casid.subspace.feedback import followed
 

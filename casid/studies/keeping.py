@@ -20,7 +20,7 @@ from casid.jobs.campaigns import CampaignProgress, Execution
 from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
 from casid.jobs.store import Done, Store
 from casid.nlp import Progress
-from casid.repetition import repeats_known
+from casid.repeats import repeats_known
 from casid.report.content import Timing
 from casid.stages.stage import LeftOutError, Stage, Task, watched
 from casid.studies.study import Study

@@ -27,7 +27,7 @@ from casid.frozen import frozen
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
-from casid.repetition import tell_repeats
+from casid.repeats import tell_repeats
 from casid.saturation import longest_stop, saturated
 from casid.stages.stage import ROLES, Role, Stage, Task
 from casid.studies.preparation import Cutting, Mending, SecondLogger, tell_doubled, with_inputs
