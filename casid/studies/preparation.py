@@ -122,6 +122,7 @@ class Cutting:
         """A record cut and sampled as its role asks for."""
         span = self.cuts.get(record.name, self.cut)
         if span is not None:
+            _tell_beyond(record, span[1])
             record = record.cut(*span)
         if self.resample is not None:
             record = self._resampled(record, self.resample)
@@ -138,6 +139,16 @@ class Cutting:
             return record.resample(dt)
         except ValueError as error:
             raise ValueError(f"resample = {dt:g}: {error}") from error
+
+
+def _tell_beyond(record: Record, end: float) -> None:
+    """Warn of a cut that ends [s] beyond the record, unless at infinity."""
+    last = float(record.t[-1])
+    if last + record.dt < end < np.inf:
+        warn(
+            f"record {record.name!r} lasts from {record.t[0]:g} to {last:g} s: its cut ends at "
+            f"{end:g} s, beyond it; mend the cut, or write inf for as far as records go"
+        )
 
 
 def _skews(

@@ -36,6 +36,15 @@ def test_records_are_cut_and_resampled(tmp_path):
     assert (records["sweep"].t[0], records["3211"].t[0]) == (2.0, 0.0)
 
 
+@pytest.mark.filterwarnings("ignore:record .sweep.*an input moves")
+def test_a_cut_that_ends_beyond_a_record_is_told(tmp_path):
+    cut = (PLACE, PLACE + "cut = { sweep = [2.0, 400] }\n")
+    told = r"'sweep' lasts from 0 to 29.96 s: its cut ends at 400 s, beyond it; .* write inf"
+    with pytest.warns(DataWarning, match=told):
+        read(tmp_path, cut)
+    read(tmp_path, (PLACE, PLACE + "cut = { sweep = [2.0, inf] }\n"))
+
+
 @pytest.mark.filterwarnings("ignore:.* no straight line:casid.DataWarning")
 def test_a_record_with_a_gap_is_resampled_stretch_by_stretch(tmp_path):
     path = write_study(tmp_path, QUIET, (PLACE, PLACE + "resample = 0.08\n"))
