@@ -19,6 +19,7 @@ LEVEL = 10  # first samples of a noisy input, whose mean is its level at rest
 FADED = 4.0  # deviations of its noise at rest from which on an input that fades in has begun
 FAINT = 0.001  # share of an input's range that a rest which is not exact may wander
 ROUNDING = 1e-9  # of an input's largest value: a smaller change is none
+LASTING = 16  # samples between places where time goes back, from which on they are records
 FEWEST = 50  # samples that show noise
 BEGUN = 100  # first samples, at rest where there is any
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
@@ -306,9 +307,18 @@ def _check_time(record: str, t: Array) -> None:
         raise ValueError(f"record {record!r}: t[{k}] = {t[k]}; time must be finite")
     if (back := np.flatnonzero(np.diff(t) <= 0)).size:
         k = int(back[0]) + 1
+        again = "sort the samples and drop repeated ones"
+        parts = np.diff([0, *(back + 1), len(t)])
+        # Samples out of order are passed by soon after; a second flight lasts, or goes over again.
+        if parts.min() >= LASTING and (t[back + 1 + LASTING // 2] < t[back]).all():
+            more = f", and at {len(back) - 1} places more" * (len(back) > 1)
+            again = (
+                "a second flight, or what a logger wrote after it started again, seems to stand "
+                f"below the first: cut the file there{more}, and read each part as its own record"
+            )
         raise ValueError(
             f"record {record!r}: time does not increase at sample {k} "
-            f"({t[k - 1]:g} s, then {t[k]:g} s); sort the samples and drop repeated ones"
+            f"({t[k - 1]:g} s, then {t[k]:g} s); {again}"
         )
 
 

@@ -10,6 +10,7 @@ from casid.samples import (
     _begun,
     at_instants,
     bursts,
+    check_samples,
     off_rest,
     resting,
     runs,
@@ -115,3 +116,23 @@ def test_runs_are_what_follows_closely_and_single_ones_are_none():
     t = 0.02 * np.array([3, 40, 41, 42, 44, 47, 90, 91, 92])
     assert bursts(t, 0.02) == [(pytest.approx(0.8), pytest.approx(0.94), 5)]
     assert bursts((), 0.02) == []
+
+
+def test_time_that_goes_back_is_told_as_a_second_flight_or_as_samples_out_of_order():
+    t, known = 0.02 * np.arange(200), (("lat",), ("p",))
+    swapped = t.copy()
+    swapped[[100, 101]] = t[[101, 100]]
+    second, restarted = np.r_[t, t], np.r_[t[:150], t[100:]]
+    thrice = np.r_[t, t, t]
+    doubled = np.repeat(t, 2)
+    for times, told in (
+        (second, "a second flight, .* cut the file there, and read each part"),
+        (restarted, "a second flight"),
+        (thrice, "cut the file there, and at 1 places more"),
+        (swapped, "sort the samples"),
+        (doubled, "sort the samples and drop repeated"),
+        (t[::-1], "sort the samples"),
+    ):
+        x = np.sin(times)[:, None]
+        with pytest.raises(ValueError, match=f"time does not increase at sample .*{told}"):
+            check_samples("flight", times, x, x, known)
