@@ -15,6 +15,7 @@ from casid.values import digest
 
 ATTITUDES = {"p": "phi", "q": "theta"}  # what every rate turns
 SPACING = 0.5  # s: over which turns are compared
+COUNTS, NEAR = {"ms": 1e3, "us": 1e6}, 0.2  # a second in units of time, how near a ratio is to it
 ALIKE, FACTOR = 0.8, 15.0  # correlation of these, and ratio that only another unit explains
 
 T = TypeVar("T")
@@ -64,6 +65,12 @@ def units_told(records: Records) -> list[str]:
         odd = ((record, _unlike(record, rate, angle)) for record in several(records))
         name, ratio = next(((each.name, ratio) for each, ratio in odd if ratio), ("", 0.0))
         if not ratio:
+            continue
+        if count := next((u for u, n in COUNTS.items() if abs(ratio / n - 1) < NEAR), ""):
+            found.append(
+                f"record {name!r}: {rate!r} turns {ratio:.3g} times as far as {angle!r} does: is "
+                f"time in {count}, and read as s? State its unit ({count}), or convert it"
+            )
             continue
         ways = {rate: ("deg/s", "rad/s"), angle: ("deg", "rad")}
         large, small = (rate, angle) if ratio > 1 else (angle, rate)

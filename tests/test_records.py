@@ -141,6 +141,10 @@ def test_degrees_per_second_beside_radians_are_suspected():
         stretches(turning(angle=degree))
     with pytest.warns(DataWarning, match="0.01.* or 'p' declared deg/s and in rad/s[?]"):
         stretches(turning(rate=1 / degree))
+    for count, unit in ((1e3, "ms"), (1e6, "us")):
+        flown = turning()
+        with pytest.warns(DataWarning, match=f"is time in {unit}, and read as s[?] State its unit"):
+            stretches(replace(flown, t=count * flown.t))
     for sound in (turning(), replace(turning(), outputs=("q", "phi")), turning(rate=0.2)):
         stretches(sound)
     random = turning(rate=degree)

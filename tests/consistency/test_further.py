@@ -17,7 +17,8 @@ def still(**values):
 
 
 @pytest.mark.parametrize(
-    ("factor", "word"), [(-1.1, "sign"), (57.0, "degrees"), (0.1, " g"), (3.3, "feet"), (1.5, "")]
+    ("factor", "word"),
+    [(-1.1, "sign"), (57.0, "degrees"), (0.1, " g"), (3.3, "feet"), (1001.0, "ms"), (1.5, "")],
 )
 def test_a_factor_betrays_a_mistake(factor, word):
     assert word in mistake(factor)
