@@ -26,7 +26,8 @@ DIGITS, EXACT = 10, 17  # of a value in a CSV file; those that are enough for ev
 CLOCK = 1e-5  # of the sampling interval: what an instant in a CSV file may be off
 HEADER_CHARACTERS = 2**17  # a longer first line is no header
 
-LARGEST, SMALLEST = 1e30, 1e-30  # magnitudes of a channel that still measure something
+OTHER = "time = NAME, or columns = {channel: NAME}"  # than those of the same names
+LARGEST, SMALLEST = 1e20, 1e-30  # magnitudes of a channel that still measure something
 
 Detrend: TypeAlias = Literal["first", "mean"] | Mapping[str, float] | None
 Place: TypeAlias = str | tuple[str, int]  # a column or variable; a column of a MATLAB array
@@ -83,10 +84,13 @@ def read_csv(
     return build(at, inputs, outputs, time, units, name, hold).detrend(detrend)
 
 
-def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
-    """Named columns of a table of numbers with a header, CSV; ValueError for anything else."""
+def read_columns(path: str | Path, names: Sequence[str], other: str = OTHER) -> dict[str, Array]:
+    """Named columns of a table of numbers with a header, CSV; ValueError for anything else.
+
+    ``other`` says how whoever reads may name other columns.
+    """
     columns = csv_columns(path := Path(path))
-    values = _csv_values(path, columns, [_find(name, columns, path) for name in names])
+    values = _csv_values(path, columns, [_find(name, columns, path, other) for name in names])
     if not len(values):
         raise ValueError(f"{path}: no samples below the header; record it again")
     return dict(zip(names, values.T, strict=True))
@@ -235,11 +239,12 @@ def csv_header(names: Iterable[str]) -> str:
 
 
 def _check_magnitude(record: str, channel: str, values: Array) -> None:
-    largest = np.max(np.abs(values[np.isfinite(values)]), initial=0.0)
-    if largest > LARGEST:
+    sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
+    if (largest := np.max(sizes, initial=0.0)) > LARGEST:
         raise ValueError(
-            f"record {record!r}: channel {channel!r} reaches {largest:g}, which no instrument "
-            "measures; mark missing samples with an empty cell or nan"
+            f"record {record!r}: channel {channel!r} reaches {largest:g} at sample "
+            f"{int(sizes.argmax())}, which no instrument measures; mark missing samples with an "
+            "empty cell or nan"
         )
     if 0 < largest < SMALLEST:
         raise ValueError(
@@ -306,10 +311,10 @@ def _csv_values(path: Path, columns: list[str], positions: list[int]) -> Array:
         ) from error
 
 
-def _find(name: str, columns: list[str], path: Path) -> int:
+def _find(name: str, columns: list[str], path: Path, other: str) -> int:
     if name not in columns:
         shown = ", ".join(columns[:SHOWN]) + ", ..." * (len(columns) > SHOWN)
-        hint = header_hint(columns) or "; say so with time = NAME, or columns = {channel: NAME}"
+        hint = header_hint(columns) or f"; say so with {other}"
         raise ValueError(f"{path}: no column {name!r}; it has {shown[:2000]}{hint}")
     if columns.count(name) > 1:
         raise ValueError(

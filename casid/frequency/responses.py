@@ -9,13 +9,15 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.checks import check_known
-from casid.files import read_columns
+from casid.files import LARGEST, read_columns
 from casid.frequency.response import FrequencyResponse
 from casid.records import several
 
 Form = Literal["dB deg", "dB rad", "abs deg", "abs rad", "re im"]
 
 Pair = tuple[str, str]
+
+OTHER = "omega = NAME, or the columns of pairs"  # than those that a file lacks
 
 
 def read_frequency_csv(
@@ -62,7 +64,7 @@ def read_frequency_csv(
     check_known("input_std: no pair has", input_std or (), inputs)
     check_known("output_std: no pair has", output_std or (), outputs)
     wanted = [omega, *(column for columns in pairs.values() for column in columns)]
-    table = read_columns(path, list(dict.fromkeys(wanted)))
+    table = read_columns(path, list(dict.fromkeys(wanted)), OTHER)
     shape = (len(table[omega]), len(outputs), len(inputs))
     G = np.full(shape, np.nan, dtype=complex)
     coherence, error, width = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
@@ -71,6 +73,7 @@ def read_frequency_csv(
         at = (slice(None), outputs.index(output), inputs.index(name))
         values = [table[column] for column in columns]
         G[at] = _complex(values[0], values[1], form)
+        _check_gains(G[at], f"{path}: {columns[0]}", values[0])
         coherence[at] = _coherence(values[2], f"{path}: {columns[2]}") if values[2:] else 1.0
         error[at] = values[3] if values[3:] else np.nan
         width[at] = np.nan_to_num(values[4]) if values[4:] else 0.0
@@ -87,6 +90,18 @@ def read_frequency_csv(
         output_std=_sizes(outputs, output_std),
         records=(Path(path).stem,),
     )
+
+
+def _check_gains(G: ComplexArray, where: str, column: Array) -> None:
+    """Refuse gains (K,) that no response has; ``column`` has them as they are written."""
+    beyond = (np.abs(G) > LARGEST) | ((np.abs(G) < 1 / LARGEST) & (G != 0))
+    if beyond.any():
+        k = int(np.flatnonzero(beyond)[0])
+        raise ValueError(
+            f"{where} is {column[k]:g} in row {k + 1}, a gain of {np.abs(G[k]):.3g}, which no "
+            "response has: leave the cell empty where nothing was measured, or say with form what "
+            "the columns hold"
+        )
 
 
 def _check_columns(pair: Pair, columns: Sequence[str], form: Form) -> None:

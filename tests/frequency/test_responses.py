@@ -141,3 +141,23 @@ def test_a_size_of_a_channel_that_no_pair_has_is_refused(tmp_path):
         read_frequency_csv(path, **kept, input_std={"latt": 2.0})
     with pytest.raises(ValueError, match="output_std: no pair has 'lat'"):
         read_frequency_csv(path, **kept, output_std={"lat": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("gain", "form", "told"),
+    [(4000, "dB deg", "4000 in row 2, a gain of 1e\\+200"), (1e-30, "abs deg", "a gain of 1e-30")],
+)
+def test_gains_that_no_response_has_are_named(tmp_path, gain, form, told):
+    path = tmp_path / "wild.csv"
+    path.write_text(f"w,a,b\n1,-6,0\n2,{gain},0\n".replace("-6", "0.5"))
+    with pytest.raises(ValueError, match=rf"wild.csv: a is .*{told}, which no response has: leave"):
+        read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")}, omega="w", form=form)
+
+
+def test_a_column_that_a_response_lacks_is_told_by_its_own_arguments(tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text("w,a,b\n1,0,0\n")
+    with pytest.raises(
+        ValueError, match=r"no column 'omega'.*omega = NAME, or the columns of pairs"
+    ):
+        read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")})

@@ -193,6 +193,7 @@ bad("a constant output",
     "output 'p'", "look at its sensor")  # fmt: skip
 bad("an output never measured", column(2, "", ALL), "output 'p'", 'detrend="mean"')
 bad("1e300", cell(99, 2, "1e300"), "channel 'p' reaches 1e+300", "mark missing samples")
+bad("1e30", cell(99, 2, "1e30"), "channel 'p' reaches 1e+30 at sample 98", "mark missing samples")
 bad("a number beyond doubles", cell(99, 2, "1e999"), "output 'p' is inf", "NaN")
 bad("denormal numbers", column(2, "5e-324"), "channel 'p'", "leave the channel out")
 bad("infinity in an input", cell(99, 1, "inf"), "input 'lat' is inf at sample 98", "repair")
