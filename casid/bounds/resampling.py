@@ -6,9 +6,11 @@ from itertools import zip_longest
 from typing import Any, cast
 
 import numpy as np
+import scipy
 
 from casid.arrays import Array
 from casid.bounds.draws import BlockDraw, KnownInitial, NoiseDraw
+from casid.bounds.leverage import leverages
 from casid.bounds.trials import Draw, Fits
 from casid.checks import check_known, check_level
 from casid.display import Shown, counted, listed
@@ -84,10 +86,22 @@ class Ensemble(Shown):
         return np.asarray(np.where(count > 0, held / np.maximum(count, 1), np.nan))
 
     def interval(self, level: float = 0.95) -> Array:
-        """Percentiles of the estimates, (nf, 2)."""
+        """Interval that holds one more draw with this probability, (nf, 2).
+
+        Between order statistics of the n estimates, at n + 1 times each tail's probability
+        (S. S. Wilks, Ann. Math. Stat. 12(1), 1941): percentiles of few are too close together.
+        Where both tails together are less than 2 / (n + 1), beyond all n, Student's t about their
+        mean, for estimates that are normal; NaN of fewer than two.
+        """
         check_level(level, "share")
-        tail = 50 * (1 - level)
-        return np.asarray(np.nanpercentile(self.values, [tail, 100 - tail], axis=0).T)
+        tail, done = (1 - level) / 2, self.values[[not reason for reason in self.reasons]]
+        n = len(done)
+        if n < 2:
+            return np.full((len(self.names), 2), np.nan)
+        if tail * (n + 1) >= 1:
+            return np.asarray(np.quantile(done, [tail, 1 - tail], axis=0, method="weibull").T)
+        reach = scipy.stats.t.ppf(1 - tail, n - 1) * np.sqrt(1 + 1 / n) * self.scatter
+        return np.asarray(done.mean(axis=0) + np.multiply.outer([-1, 1], reach)).T
 
     def to_csv(self) -> str:
         """One row a draw."""
@@ -172,7 +186,10 @@ def bootstrap(
     """Put the residuals of an output-error fit back in blocks and estimate again; many times.
 
     Blocks keep the residuals' correlation in time, which the Cramér-Rao bound leaves out (H. R.
-    Künsch, Ann. Statist. 17(3), 1989).
+    Künsch, Ann. Statist. 17(3), 1989). What parameters, initial states and biases took out of them
+    is put back block by block, as if the noise were white there (R. M. Bell and D. F. McCaffrey,
+    Survey Methodology 28(2), 2002). ``scatter`` is that of the estimates; `Ensemble.interval` is
+    for the truth where estimates scatter about it as draws do about the estimates.
 
     Parameters
     ----------
@@ -183,8 +200,8 @@ def bootstrap(
     runs, seed : int
         Run k draws its blocks from seed and k alone; two runs at least.
     block : float
-        Length of the blocks [s]: longer than the residuals are correlated, at most a third of the
-        longest record.
+        Length of the blocks [s]: several times longer than the residuals are correlated, as no
+        correlation is left across blocks, and at most a third of the longest record.
     estimator, execution
         As in `compare_bounds`; an estimator from records, with the fit's ``biases`` and
         ``state_biases``. Values of its priors are drawn too, about the estimates, being
@@ -221,10 +238,13 @@ def bootstrap(
     known = any(getattr(estimator, each, None) for each in ("priors", "initial"))
     _check_residuals(fit, residuals, known=known)
     initial = _initial(estimator, flying, x0)
-    draws: list[Draw] = [BlockDraw(residuals, block, (seed, run), initial) for run in range(runs)]
     again = [_redrawn(estimator, model, (seed, run)) for run in range(runs)]
     held = (*fixed, *(row.name for row in fit.parameters if row.fixed and row.name not in fixed))
     own = {row.name: (row.lower, row.upper) for row in fit.parameters if row.name not in held}
+    taken = leverages(fit, flying, estimator, simulated, x0)
+    draws: list[Draw] = [
+        BlockDraw(residuals, block, (seed, run), initial, taken) for run in range(runs)
+    ]
     many = Fits(model, simulated, estimator, held, own | dict(bounds or {}), execution)
     return _ensemble(many, draws, fit, again)
 
