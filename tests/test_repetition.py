@@ -108,3 +108,53 @@ def test_one_absurd_value_makes_no_repeats_of_small_steps():
     x = held(WAVE, 5)
     x[777] = 1e15
     assert repeated(record(WAVE, x))[:, 1].mean() == pytest.approx(0.8, abs=0.01)
+
+
+NOISE = np.random.default_rng(8).standard_normal(len(T))
+
+
+@pytest.mark.parametrize("count", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("every", [2, 3, 5])
+def test_a_slower_source_is_found_behind_coarse_steps(count, every):
+    motion = 3 * np.sin(2 * np.pi * 0.4 * T)
+    flown = record(WAVE, count * np.round(held(motion + NOISE, every) / count))
+    marks = repeated(flown)
+    # new samples that equal the last one are none; long runs by chance are left
+    wrong = marks[:, 1] != (np.arange(len(T)) % every > 0)
+    assert wrong.mean() < 0.05
+    assert not (marks[:, 1] & (np.arange(len(T)) % every == 0)).any()
+    assert source_interval(flown, marks, 1) == pytest.approx(0.01 * every, rel=0.05)
+
+
+def test_a_source_between_samples_is_found_behind_coarse_steps():
+    k = np.arange(len(T))
+    new = np.floor(k / 2.5) > np.floor((k - 1) / 2.5)
+    source = np.flatnonzero(new)[np.cumsum(new) - 1]
+    found = repeated(record(WAVE, 0.5 * np.round(2 * NOISE[source])))[:, 1]
+    assert (found != ~new).mean() < 0.1
+    assert found.mean() == pytest.approx(0.6, abs=0.03)
+
+
+MOTIONS = {
+    "still": np.zeros(len(T)),
+    "slow": np.sin(2 * np.pi * 0.1 * T),
+    "fast": np.sin(2 * np.pi * 4 * T + 3 * np.sin(0.3 * T)),
+    "ramps": np.abs((T % 4) - 2),
+    "steps": np.sign(np.sin(2 * np.pi * T)),
+    "vibration": np.sin(2 * np.pi * 25 * T),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_channel_that_is_merely_rounded_is_not_held(motion):
+    for count in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0):
+        for size in (1.0, 10.0, 100.0):
+            for part in (slice(None), slice(0, 500)):
+                x = count * np.round((size * MOTIONS[motion] + NOISE) / count)
+                flown = Record(T[part], WAVE[part, None], x[part, None], ("lat",), ("p",))
+                assert not repeated(flown).any(), (count, size)
+
+
+def test_two_values_of_a_clock_are_no_source_behind_steps():
+    bits = np.repeat(np.random.default_rng(2).choice([-1.0, 1.0], len(T) // 10), 10)
+    assert not repeated(record(bits, bits)).any()
