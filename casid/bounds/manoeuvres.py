@@ -1,8 +1,10 @@
 """Structures, or ways to estimate one, side by side: how well each predicts manoeuvres left out.
 
 Each is estimated from all manoeuvres but one and judged on that one. Which structure is enough is
-then told by the simplest whose errors are not significantly larger than the best one's (the rule of
-one standard error: L. Breiman and others, Classification and Regression Trees, 1984, section 3.4).
+then told by the simplest whose errors are not significantly larger than the best one's (L. Breiman
+and others, Classification and Regression Trees, 1984, section 3.4): not more than by chance, at
+90 % of Student's t, as few manoeuvres do not tell how they scatter. One standard error, as in that
+rule, is exceeded by chance in a fifth of the comparisons of four, and the best is one of several.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -10,6 +12,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
+import scipy
 
 from casid.arrays import Array
 from casid.bounds.trials import Fits, aicc, run_fits
@@ -28,6 +31,7 @@ from casid.shooting.output_error import OutputError
 from casid.tabulation import markdown_table
 from casid.validation import validate
 
+SURE = 0.9  # one-sided, that a candidate is worse than the best
 FEWEST = 3  # manoeuvres, for an error of the mean over them
 NOISE = 0.9  # of the noise's power, which is not known exactly, is taken from errors' squares
 TOP = 0.75  # of the highest frequency, from where residuals are noise
@@ -110,10 +114,12 @@ class StructureComparison(Shown):
     def simplest(self) -> str:
         """The candidate with the fewest parameters among those that are not worse than the best.
 
+        Worse is one by more standard errors than 90 % of Student's t for these manoeuvres.
         ConvergenceError: none was estimated without each of the manoeuvres.
         """
         mean, error = self.excess
-        equal = np.flatnonzero(mean <= error)
+        chance = error * scipy.special.stdtrit(max(self.errors.shape[1] - 1, 1), SURE)
+        equal = np.flatnonzero(mean <= chance)
         if not len(equal):
             raise ConvergenceError(f"every candidate failed: {'; '.join(self.reasons.values())}")
         order = sorted(equal, key=lambda k: (self.parameters[k], mean[k]))
