@@ -26,13 +26,17 @@ from casid.shooting.likelihood import Noise
 from casid.shooting.sensitivity import Point
 
 CONTRADICTED = 3.5  # standard deviations between a prior and the records, of the largest of many
+CONTRADICTS = "the records contradict"  # how what is told of it begins
 NARROWED = 1e-6  # of a prior's variance: what records that say nothing narrow it by
 TRIM = "trim"  # instead of a value: that of each record's trim
 HELD = 0.01  # σ of a bias that is held, in units of the noise's floor
 
 
 class Knowledge:
-    """Prior values as terms of the cost; number of its record by interval in ``record`` (J,)."""
+    """Prior values as terms of the cost; number of its record by interval in ``record`` (J,).
+
+    ``mean`` (records, nx) is what is stated of initial states, 0 where nothing is.
+    """
 
     def __init__(
         self, free: Free, noise: Noise, record: np.ndarray, records: Sequence[Record]
@@ -40,18 +44,18 @@ class Knowledge:
         self._free = free
         self._firsts = np.searchsorted(record, np.arange(len(records)))
         states, outputs = free.model.states, free.model.outputs
-        self._mean, self._weight = np.zeros((len(records), len(states))), np.zeros(len(states))
+        self.mean, self._weight = np.zeros((len(records), len(states))), np.zeros(len(states))
         for name, (mean, std) in free.initial.items():
             i = states.index(name)
             own = [each.trim[_of_trim(name)] if mean == TRIM else mean for each in records]
-            self._mean[:, i], self._weight[i] = own, std**-2.0
+            self.mean[:, i], self._weight[i] = own, std**-2.0
         held = np.array([name in free.unbiased for name in outputs])
         self._bias = np.where(held, (HELD * noise.floor) ** -2.0, 0.0)
 
     def cost(self, point: Point) -> float:
         """The terms at a point."""
         off, _ = self._free.prior_residuals(point.lam[: len(self._free.index)])
-        away = point.nodes[self._firsts] - self._mean
+        away = point.nodes[self._firsts] - self.mean
         total = off @ off + np.sum(self._weight * away**2) + np.sum(self._bias * point.bias**2)
         return float(total) / 2
 
@@ -63,7 +67,7 @@ class Knowledge:
         bias = len(point.lam) + nx + np.arange(ny)
         records[0, :n, :n] += pull.T @ pull
         records[0, :n, -1] += pull.T @ off
-        each = zip(records, self._firsts, self._mean, point.bias, strict=True)
+        each = zip(records, self._firsts, self.mean, point.bias, strict=True)
         for record, first, mean, b in each:
             nodes[first, state, len(point.lam) + state] += self._weight
             nodes[first, :, -1] += self._weight * (point.nodes[first] - mean)
@@ -202,7 +206,7 @@ def warn_contradicted(free: Free, fit: AnyFit) -> None:
         off = abs(row.value - mean) / np.sqrt(max(narrowed, NARROWED * std**2))
         if off > CONTRADICTED:
             warn(
-                f"the records contradict the prior {name} = {mean:.4g} ± {std:.2g}: the estimate "
+                f"{CONTRADICTS} the prior {name} = {mean:.4g} ± {std:.2g}: the estimate "
                 f"{row.value:.4g} lies {off:.1f} standard deviations from it, and all parameters' "
                 "errors believe both: check where the prior comes from, widen it or leave it out"
             )

@@ -33,6 +33,7 @@ from casid.record import Record
 from casid.records import Records, check_alive, common_hold, several, stretches
 from casid.repeats import tell_repeats
 from casid.shooting import uncertainty
+from casid.shooting.beginnings import warn_of_beginnings
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise, check_gain
 from casid.shooting.knowledge import in_totals, warn_contradicted, with_knowledge
@@ -71,9 +72,9 @@ class OutputError:
         States whose equations have a constant, another in every record: trim that is not quite
         trim. They come out in ``Fit.state_biases``.
     initial : mapping
-        ``{state: (value, standard deviation)}``: what is known of every record's initial state, in
-        the model's perturbations; a small deviation holds it. "trim" for the value is what each
-        record's ``trim`` says, for nonlinear structures.
+        ``{state: (value, standard deviation)}``: what is known of every record's initial state in
+        SI; a small deviation holds it. Of linear structures perturbations of the trim, of nonlinear
+        ones total values, "trim" being what each record's ``trim`` says.
     priors : mapping
         ``{parameter: (value, standard deviation)}``: what is known from elsewhere, a normal
         distribution that multiplies the likelihood.
@@ -168,6 +169,7 @@ class OutputError:
             filtering = outcome.programme.evaluator.filtering
             told = warn_of_innovations if filtering else warn_of_followed
             told(outcome.programme, outcome.solution.x)
+            warn_of_beginnings(outcome.programme, outcome.solution.x)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:

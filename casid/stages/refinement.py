@@ -14,11 +14,12 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import steps_told
 from casid.report.answer import doubted, not_believed
-from casid.report.content import CHOSEN, Content, Section, enough, section
+from casid.report.content import CHOSEN, Caution, Content, Section, enough, section
 from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.evidence import few_data
 from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import held_by_bounds, uncertain
+from casid.shooting.knowledge import CONTRADICTS
 from casid.shooting.output_error import OutputError, checked_covariance, select_records
 from casid.shooting.precision import OutputErrorNotes
 from casid.shooting.ways import Ways
@@ -138,7 +139,8 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
             "and match are of one flight condition and were left out."
         )
     doubts = uncertain(last, lacking=enough(content.results) is False)
-    said = (*held_by_bounds(last), *few_data(last, content), *doubts)
+    known = (Caution(each, 3) for each in content.warnings if each.startswith(CONTRADICTS))
+    said = (*known, *held_by_bounds(last), *few_data(last, content), *doubts)
     more: Any = {"answer": not_believed(content, last), "lead": lead, "cautions": said}
     yield section("parameters", "Parameters", 10, last, values=values, **more)
 
