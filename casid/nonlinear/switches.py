@@ -49,6 +49,17 @@ def told(found: Sequence[Passage]) -> str:
     )
 
 
+def deciding(model: Nonlinear) -> list[str]:
+    """Parameters that only decide between expressions, in ``if_else``, and have no derivative."""
+    cls: Any = type(model)
+    lam = [ca.SX.sym(name) for name in cls.parameter_names()]
+    x, u = ([ca.SX.sym(name) for name in names] for names in (cls.states, cls.inputs))
+    at = cls(**dict(constants(model))).with_vector(ca.vertcat(*lam))
+    values = ca.vertcat(*evaluated(at, x, u))
+    moved = ca.sparsify(ca.jacobian(values, ca.vertcat(*lam))).sparsity().get_col()
+    return [p.name() for i, p in enumerate(lam) if i not in moved and ca.depends_on(values, p)]
+
+
 def passages(
     model: Nonlinear, flights: Sequence[tuple[Array, Array]], late: Collection[str] = ()
 ) -> list[Passage]:

@@ -18,6 +18,7 @@ from casid.nonlinear.balance import (
     scattered,
 )
 from casid.nonlinear.conditions import BALANCE, Trim
+from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.expressions import resting
 from casid.nonlinear.model import NonlinearModel
 
@@ -99,7 +100,8 @@ def find_trim(
     -------
     Trim
         Its values are those of the model's parameters and held, as measured ones are, wherever it
-        is linearised later. A `DataWarning` tells of others nearby.
+        is linearised later. A `DataWarning` tells of others nearby, and of a trim beyond the
+        structure's tables.
 
     Raises
     ------
@@ -132,7 +134,9 @@ def find_trim(
             f"trim {name!r} of {type(model).__name__} is not the only one: also "
             f"{' and '.join(others)}; start nearer to the one that is flown"
         )
-    return Trim(values=values, name=name)
+    trim = Trim(values=values, name=name)
+    warn_beyond(model, f"in trim {name!r}" if name else "in trim", model.reached_at(trim))
+    return trim
 
 
 def _solutions(

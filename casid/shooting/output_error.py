@@ -344,7 +344,7 @@ def _verdict(outcome: Outcome, found: Precision, broken: str | None) -> tuple[bo
     if away := run_away(outcome.programme, outcome.solution.x, lost):
         reasons.append(away)
     elif lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
-        reasons.append(uncertainty.singular(found.undetermined))
+        reasons.append(uncertainty.singular(found.undetermined, outcome.programme.free.model))
     unsettled = f"R has not settled after {outcome.rounds} rounds; give R"
     return verdict(outcome.solution, outcome.settled, unsettled, reasons, broken)
 

@@ -15,6 +15,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from casid import truncated
 from casid.arrays import Array, BoolArray
+from casid.model import Model
+from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.switches import deciding
 from casid.shooting.scores import NO_SCORES, PARTS, BlockScores, ProcessScores, RecordScores, summed
 from casid.truncated import OnBounds
 from casid.values import storable
@@ -147,8 +150,19 @@ def beside_bounds(
     return truncated.beside_bounds(K, held, wider)
 
 
-def singular(names: Sequence[str]) -> str:
-    """What is said of parameters in directions without information."""
+def singular(names: Sequence[str], model: Model | None = None) -> str:
+    """What is said of parameters in directions without information, of a nonlinear structure, too.
+
+    One that only decides where the equations jump has no derivative, whatever is flown.
+    """
+    known = deciding(model) if isinstance(model, NonlinearModel) else []
+    if mute := [name for name in names if name in known]:
+        rest = [name for name in names if name not in mute]
+        return (
+            f"{', '.join(mute)} only decides between two expressions (if_else) and has no "
+            "derivative, which is no lack of data: write the condition as something smooth "
+            "(casadi.tanh, casid.spline), or fix it and compare the costs of fits at several values"
+        ) + (f"; {singular(rest)}" if rest else "")
     return (
         f"the records do not determine {', '.join(names)} here (singular information matrix): fix "
         "or tie some of them, or add a manoeuvre that excites them. Where one of them multiplies "

@@ -18,7 +18,8 @@ from casid import (
     output_error,
     parameter,
 )
-from casid.nonlinear.switches import passages
+from casid.nonlinear.switches import deciding, passages
+from casid.shooting.uncertainty import singular
 
 T = 0.05 * np.arange(400)
 STICK = 0.35 * np.sign(np.sin(1.1 * T))
@@ -176,3 +177,21 @@ def test_a_fit_that_fails_names_the_jumps_among_the_reasons():
     with pytest.raises(ConvergenceError) as caught:
         output_error(replace(Bent(), L0=-3.0, Llat=9.0), [flown(Bent())], solver=few)
     assert "jumps" not in str(caught.value)
+
+
+class Threshold(Roll):
+    """What decides is a parameter; its like that multiplies too is not one that only decides."""
+
+    th: Scalar = parameter(default=0.4, lower=0.0, upper=2.0, unit="rad/s")
+
+    def damping(self, p, u):  # noqa: ARG002
+        return ca.if_else(p > self.th, self.L1, ca.if_else(p < self.L0, self.L0, 0.0)) * p
+
+
+def test_a_parameter_that_only_decides_is_no_lack_of_data():
+    assert deciding(Threshold()) == ["th"]
+    assert deciding(Roll()) == []
+    said = singular(("th",), Threshold())
+    assert said.startswith("th only decides between two expressions (if_else)")
+    assert "manoeuvre" not in said
+    assert "do not determine L1 here" in singular(("L1", "th"), Threshold())

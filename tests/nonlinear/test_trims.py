@@ -18,6 +18,7 @@ from casid import (
     equations_of,
     find_trim,
     parameter,
+    spline,
 )
 from casid.nonlinear.balance import balanced
 from casid.nonlinear.trims import warn_astray
@@ -235,3 +236,13 @@ def test_moves_to_balance_count_by_the_airspeed_and_by_shares():
     ):
         warn_astray(Rocket(), [Trim(values={"V": 15.0, "T": 20.0})])
     warn_astray(Rocket(), [Trim(values={"V": 19.5, "T": 20.0})])
+
+
+def test_a_trim_beyond_the_tables_is_told():
+    class Tabulated(Swing):
+        def derivatives(self, x, u):
+            lift = spline(x.theta, [-0.2, 0.0, 0.2], [-0.2, 0.0, 0.2])
+            return [self.Mq * x.q - self.M * lift + self.Mlon * u.lon, x.q]
+
+    with pytest.warns(DataWarning, match="in trim 'steep': .* is 0.6.* cover -0.2 to 0.2"):
+        find_trim(Tabulated(), {"theta": 0.6}, ["lon"], name="steep")
