@@ -252,3 +252,14 @@ def scalar(value: Any, what: str) -> ca.SX:  # noqa: ANN401 - whatever the user 
             f"{what} is {value!r}, expected a number or an expression of parameters{hint}"
         )
     return expression
+
+
+def check_closed(where: str, expression: ca.SX, known: ca.SX) -> None:
+    """Refuse symbols that are no parameters, states or inputs: ``known`` holds all that are."""
+    own = {each.element_hash() for each in ca.symvar(known)}
+    stray = [each.name() for each in ca.symvar(expression) if each.element_hash() not in own]
+    if stray:
+        raise ModelError(
+            f"{where} uses the symbol {stray[0]!r}, which has no value: declare it as a parameter "
+            "or a constant field of the class, or write a number in its place"
+        )

@@ -237,6 +237,8 @@ def _function(
     """`Model.matrices` of a structure at a trim; methods run once for what they read."""
     lam = ca.SX.sym("lam", len(cls.parameter_names()))
     expressions = _expressions(cls(**dict(trim)).with_vector(lam))
+    for method, part in zip([*"ABCD", "delays", "constraints"], expressions, strict=True):
+        declaration.check_closed(f"{cls.__name__}.{method}", part, lam)
     names = ["A", "B", "C", "D", "tau", "c"]
     return ca.Function("matrices", [lam], list(expressions), ["lam"], names)
 

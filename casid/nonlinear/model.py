@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self, cast
 import casadi as ca
 import numpy as np
 
+from casid import declaration
 from casid.arrays import Array
 from casid.errors import ModelError, warn
 from casid.model import Model, Rows, constants
@@ -184,6 +185,8 @@ def _equations(
     x, u = ca.SX.sym("x", len(cls.states)), ca.SX.sym("u", len(cls.inputs))
     model = cls(**dict(rest))
     f, h = evaluated(model.with_vector(lam), ca.vertsplit(x), ca.vertsplit(u))
+    for method, part in (("derivatives", f), ("measurements", h)):
+        declaration.check_closed(f"{cls.__name__}.{method}", part, ca.vertcat(x, u, lam))
     function = ca.Function("equations", [x, u, lam], [f, h], ["x", "u", "lam"], ["f", "h"])
     named = zip((*cls.states, *cls.outputs), ca.vertsplit(ca.vertcat(f, h)), strict=True)
     for name, expression in named:

@@ -163,3 +163,21 @@ def test_slopes_that_vanish_at_the_reference_are_no_lack_of_dynamics():
     assert not np.any(Pressure().system().A)
     assert Pressure().at({"u": 2.0}).system().C[1, 0] == 2.0
     assert not np.any(Pressure().at({"u": 0.0}).system().C[1])
+
+
+@pytest.mark.parametrize("method", ["derivatives", "measurements"])
+def test_a_symbol_of_nothing_is_told(method):
+    def stray(self, x, u):  # noqa: ARG001
+        return [ca.SX.sym("gust") * x.q, x.theta]
+
+    with pytest.raises(ModelError, match=f"{method} uses the symbol 'gust', which has no value"):
+        type("Stray", (Swing,), {method: stray, "__annotations__": {}})().system()
+
+
+def test_a_symbol_of_nothing_in_a_matrix_is_told():
+    class Stray(SmallSwing):
+        def B(self):
+            return [[ca.SX.sym("gust")], [0]]
+
+    with pytest.raises(ModelError, match=r"Stray\.B uses the symbol 'gust'"):
+        Stray().system()
