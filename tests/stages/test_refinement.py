@@ -130,19 +130,25 @@ def test_prior_values_make_no_steps_likelier(domain):
 def test_its_section_counts_what_was_free_and_warns_of_bounds():
     fit = output_error(TRUTH, noisy(1), bounds={"Lp": (-2.0, 0.0)}, fixed=("tau",))
     other = replace(fit, method="match")
-    page = SimpleNamespace(fits={LABEL: fit, "match": other}, data=(), results={})
+    known = "the records contradict the initial state p = 1 ± 0.1 of flight 1"
+    page = SimpleNamespace(
+        fits={LABEL: fit, "match": other}, data=(), results={}, warnings=("the input", known)
+    )
     (section,) = OUTPUT_ERROR.show(fit, page)
     assert section.lead == "Its 6 free parameters were refined by output error."
     assert section.values["others"] == {"match": other}
     said = " ".join(each.text for each in section.cautions)
     assert "1 parameter lies on a bound: Lp." in said
+    assert min(section.cautions, key=lambda each: each.rank).text == known
     assert fit["Lp"].value == pytest.approx(-2.0)
 
 
 def test_its_section_shows_the_chosen_step_where_one_was_chosen():
     fit = output_error(TRUTH, noisy(1))
     last = replace(fit, method="match")
-    page = SimpleNamespace(fits={LABEL: fit, CHOSEN: last}, data=(), results={"chosen": last})
+    page = SimpleNamespace(
+        fits={LABEL: fit, CHOSEN: last}, data=(), results={"chosen": last}, warnings=()
+    )
     (section,) = OUTPUT_ERROR.show(fit, page)
     assert section.values["found"] is last
     assert section.lead == "Its 7 free parameters are those of the chosen step, match."
@@ -160,7 +166,7 @@ def test_its_section_shows_the_chosen_step_where_one_was_chosen():
 def test_the_structure_is_blamed_for_coloured_residuals_where_it_is_not_enough(results, said):
     fit = output_error(TRUTH, noisy(1))
     rows = [replace(row, std_error=2 * row.cramer_rao) for row in fit.parameters]
-    page = SimpleNamespace(fits={LABEL: fit}, data=(), results=results)
+    page = SimpleNamespace(fits={LABEL: fit}, data=(), results=results, warnings=())
     (section,) = OUTPUT_ERROR.show(replace(fit, parameters=tuple(rows)), page)
     assert any(f"correlated in time: {said}" in each.text for each in section.cautions)
 
