@@ -12,14 +12,13 @@ Bergamasco & Lovera, section 3.4, use output error as the last step of the chain
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.declaration import check_priors
-from casid.display import counted
 from casid.errors import ConvergenceError
 from casid.estimates import constraint_table, held_directions, parameter_table
 from casid.fit import AnyFit, Fit
@@ -30,19 +29,19 @@ from casid.nlp import SolverOptions
 from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.records import Records, check_alive, common_hold, several, stretches
-from casid.repeats import tell_repeats
+from casid.records import common_hold, several
 from casid.shooting import uncertainty
 from casid.shooting.beginnings import warn_of_beginnings
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise, check_gain
-from casid.shooting.knowledge import in_totals, warn_contradicted, with_knowledge
+from casid.shooting.knowledge import warn_contradicted, with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away, verdict
 from casid.shooting.rounding import warn_rounded
 from casid.shooting.search import ROUGH, Outcome, Search
+from casid.shooting.selection import checked_covariance, select_records
 from casid.shooting.stiffness import MOST
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.ways import Ways, exact_outputs, warn_of_missed
@@ -50,8 +49,6 @@ from casid.shooting.whiteness import warn_of_followed, warn_of_innovations
 from casid.threads import one_thread
 
 Domain: TypeAlias = Literal["time", "frequency"]
-
-MANY = 2.0  # measurements for every unknown, at least
 
 
 @checked_fields
@@ -283,53 +280,6 @@ def output_error(
     )
     check_priors(model, priors, fixed, bounds)
     return estimator.fit(model, records, fixed=fixed, bounds=bounds)
-
-
-def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
-    """Records with the model's channels, in its order.
-
-    ValueError: no records, a channel missing, a record too short for its own initial state and
-    biases, fewer measurements in all than unknowns.
-    """
-    model = free.model
-    totals = isinstance(model, NonlinearModel)
-    given = [in_totals(r, free.initial) if totals else r for r in stretches(records)]
-    chosen = [record.select(model.inputs, model.outputs) for record in given]
-    if not chosen:
-        raise ValueError("no records: output error needs at least one")
-    needed = len(model.states) + biases * len(model.outputs)
-    counts = [int(np.isfinite(record.y).sum()) for record in chosen]
-    for record, count in zip(chosen, counts, strict=True):
-        if count < needed:
-            raise ValueError(
-                f"record {record.name!r} has {counted(count, 'measurement')}; its initial state "
-                f"and biases alone need {needed}: leave it out"
-            )
-    unknowns = len(free.index) + needed * len(chosen)
-    if sum(counts) < MANY * unknowns:
-        raise ValueError(
-            f"the records have {sum(counts)} measurements for {unknowns} unknowns (parameters, "
-            "initial states, biases), too few to estimate from: add records, or fix parameters"
-        )
-    check_alive(chosen)
-    tell_repeats(chosen)
-    return chosen
-
-
-def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind:
-    """R as an array, or the structure in which to estimate it."""
-    if R is None:
-        return "diagonal"
-    if isinstance(R, str):
-        if R not in get_args(CovarianceKind):
-            raise ValueError(f'R={R!r}: expected "diagonal", "full" or an (ny, ny) array')
-        return R
-    R = np.asarray(R, dtype=float)
-    if R.shape != (ny, ny):
-        raise ValueError(f"R has shape {R.shape}, expected (ny, ny) = ({ny}, {ny})")
-    if not np.allclose(R, R.T) or np.linalg.eigvalsh(R).min() <= 0:
-        raise ValueError("R is not symmetric positive definite: it is a covariance, squared units")
-    return R
 
 
 def _verdict(outcome: Outcome, found: Precision, broken: str | None) -> tuple[bool, str]:

@@ -20,8 +20,9 @@ from casid.report.evidence import few_data
 from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import held_by_bounds, uncertain
 from casid.shooting.knowledge import CONTRADICTS
-from casid.shooting.output_error import OutputError, checked_covariance, select_records
+from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
+from casid.shooting.selection import checked_covariance, select_records
 from casid.shooting.ways import Ways
 from casid.stages.stage import Stage, Task
 from casid.tables import placed

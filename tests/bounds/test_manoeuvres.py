@@ -106,7 +106,8 @@ def test_a_structure_as_good_is_worse_by_chance_as_rarely_as_student_says(n):
                 fits=(None, None), reasons={},
             )  # fmt: skip
             found.append(each.simplest == "simple")
-    assert np.mean(named) == pytest.approx(0.9, abs=0.04)  # one standard error: 0.79 of three, 0.83 of eight
+    # One standard error: 0.79 of three, 0.83 of eight.
+    assert np.mean(named) == pytest.approx(0.9, abs=0.04)
     assert np.mean(missed) < 0.01
 
 
