@@ -87,7 +87,7 @@ def test_checkers_accept_the_gallery_and_point_at_every_slip(checker, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("checker", CHECKERS)
+@pytest.mark.parametrize("checker", [pytest.param("mypy", marks=pytest.mark.campaign), "pyright"])
 def test_checkers_know_the_model_and_the_notes_of_a_fit(checker, tmp_path):
     if checker == "pyright" and shutil.which("node") is None:
         pytest.skip("pyright runs on node")

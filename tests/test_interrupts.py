@@ -98,7 +98,7 @@ def test_a_run_that_is_terminated_ends_alike_and_leaves_no_lock(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("sent", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.campaign)])
 def test_a_command_that_keeps_nothing_does_not_say_that_it_goes_on(sent, tmp_path):
     study = write_study(tmp_path)
     moment, program = "casid.design.optimise.Task:slope:20", PROGRAM.replace("SIGINT", sent)

@@ -43,6 +43,7 @@ def test_the_response_of_a_discrete_lag_is_taken_on_the_unit_circle():
     np.testing.assert_allclose(system.response(OMEGA)[:, 0, 0], 2 / (z - 0.9) + 0.5, rtol=1e-12)
 
 
+@pytest.mark.second
 @given(hnp.arrays(float, (3, 3), elements=st.floats(-1, 1)))
 def test_response_and_poles_are_the_same_in_any_coordinates(noise):
     T = np.eye(3) + 0.3 * noise
@@ -158,6 +159,7 @@ def test_one_step_is_that_of_the_matrix_exponential(width):
     assert B1[0, 0] == pytest.approx(first, rel=1e-7)
 
 
+@pytest.mark.second
 @given(hnp.arrays(float, (3, 3), elements=st.floats(-3, 3)))
 def test_zero_order_hold_is_undone(A):
     # The principal logarithm is the right one while |Im λ| dt < π.

@@ -91,6 +91,7 @@ def test_the_edges_of_a_gap_in_which_inputs_moved_are_no_outliers(seed):
     assert list(zip(*np.nonzero(outliers(replace(record, y=y))), strict=True)) == sorted(wrong)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("seed", [21, 22, 23, 24])
 def test_outliers_right_after_a_gap_are_judged_by_what_follows(seed):
     rng = np.random.default_rng(seed)

@@ -26,6 +26,7 @@ def fit(free, domain):
     return output_error(ClosedRoll(), noisy(seed=5), bounds={"Lp": (lower, 0.0)}, domain=domain)
 
 
+@pytest.mark.second
 def test_what_is_on_a_bound_moves_inward_with_others(fit):
     assert fit["Lp"].active
     k = fit.free_names.index("Lp")
@@ -55,6 +56,7 @@ def test_what_a_bound_leaves_open_is_what_is_known_without_it_but_for_one_side(f
     assert fit["Llat"].std_error > np.sqrt(held[4, 4])
 
 
+@pytest.mark.second
 def test_a_hypothesis_against_the_data_leaves_nothing_open():
     far = output_error(ClosedRoll(), noisy(seed=5), bounds={"Lp": (-1.8, 0.0)})
     fixed = output_error(ClosedRoll(Lp=-1.8), noisy(seed=5), fixed=["Lp"])

@@ -128,6 +128,7 @@ def test_cases_know_which_contain_them():
     }  # fmt: skip
 
 
+@pytest.mark.second
 @given(a=st.floats(-20, 20), b=st.floats(-20, 20), d=st.floats(-20, 20))
 def test_the_nearest_point_lies_within_and_a_point_within_stays(a, b, d):
     asked = case({"d": "< 0.2", "constraints": ["a = 2 b", "a + b <= 1"]})

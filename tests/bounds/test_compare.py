@@ -341,6 +341,7 @@ def test_eigenvalues_of_a_nonlinear_structure_are_those_in_balance_where_it_was_
         assert row["linearised_at"] == found.linearised_at
 
 
+@pytest.mark.second
 def test_what_all_cases_hold_is_said_to_have_no_price(recwarn):
     def of(**cases):
         return compare_bounds(Mixture(), TARGET, cases=cases, estimator=MATCHED, execution=HERE)
@@ -384,6 +385,7 @@ def gains(p, q):
     return black_box(target, (0.2, 8.0)), k[off.argmin()]
 
 
+@pytest.mark.second
 def test_no_case_ends_in_a_minimum_that_one_within_it_beats(tmp_path):
     target, k = gains(1.0, 0.1)
     lower, upper = {"k": (-2.5, 0.2)}, {"k": "> 0.15"}
@@ -401,6 +403,7 @@ def test_no_case_ends_in_a_minimum_that_one_within_it_beats(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
 
 
+@pytest.mark.second
 def test_a_case_that_fails_is_fitted_from_one_within_it():
     target, k = gains(0.5, 0.3)  # of which the lower side explains nothing
     cases = {"free": {}, "upper": {"k": "> 0.15"}, "lower": {"k": "< -0.5"}}

@@ -357,6 +357,7 @@ def test_a_way_that_fails_on_all_manoeuvres_is_not_tried_without_each():
     assert Failing.tried == 1
 
 
+@pytest.mark.second
 def test_the_best_iterate_of_a_candidate_that_failed_has_no_criterion():
     ways = {"frequency": OutputError(domain="frequency"), "stuck": Stuck(everywhere=True)}
     found = compare_structures(dict.fromkeys(ways, TRUTH), RECORDS, estimator=ways, execution=HERE)

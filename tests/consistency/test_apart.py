@@ -56,7 +56,7 @@ def test_a_late_reference_is_no_place_of_accelerometers(names):
     [
         ((*bodies.ATTITUDES, *VELOCITIES), 0.06),
         pytest.param(bodies.ATTITUDES, -0.06, marks=pytest.mark.campaign),
-        (VELOCITIES, -0.06),
+        pytest.param(VELOCITIES, -0.06, marks=pytest.mark.campaign),
         pytest.param(bodies.ATTITUDES, 0.06, marks=pytest.mark.campaign),
     ],
     ids=str,
@@ -117,7 +117,12 @@ def test_forces_late_beside_late_velocities_are_told_against_the_others():
 
 @pytest.mark.second
 @pytest.mark.parametrize(
-    "names", [RATES, pytest.param(FORCES, marks=pytest.mark.campaign), (*RATES, *FORCES)], ids=str
+    "names",
+    [
+        *(pytest.param(each, marks=pytest.mark.campaign) for each in (RATES, FORCES)),
+        (*RATES, *FORCES),
+    ],
+    ids=str,
 )
 def test_nothing_stands_apart_where_rates_or_forces_are_late(names):
     check = kinematic_check(late(names, 0.1))

@@ -75,6 +75,7 @@ def test_other_mistakes_are_told_as_of_the_channel_set_upright(late):
     assert {*check.shifts} == {*late}
 
 
+@pytest.mark.second
 def test_without_velocities_and_turns_bank_and_roll_rate_cannot_be_told_apart():
     records = reversed_in(flown(103, outputs=("p", "phi")), "phi")
     (said,) = kinematic_check(records).remarks

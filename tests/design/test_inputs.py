@@ -310,6 +310,7 @@ def test_a_nonlinear_structure_has_to_be_in_balance_and_a_linear_one_has_its_tri
         swung(Linear(), trim={"theta": 0.3})
 
 
+@pytest.mark.second
 def test_limits_hold_for_most_models_that_the_prior_allows():
     limits = Limits(sticks={STICK: 0.2}, responses={"q": 0.1})
     made = designed(limits, method="steps", spread=0.3, draws=32)

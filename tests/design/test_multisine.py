@@ -11,6 +11,7 @@ from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
 
+@pytest.mark.second
 def test_two_lines_share_their_power_as_brute_force_has_it():
     rng = np.random.default_rng(1)
     units = np.array([x.T @ x for x in rng.standard_normal((3, 2, 2))])

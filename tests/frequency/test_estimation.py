@@ -442,6 +442,7 @@ def test_what_references_give_of_an_input_is_an_f_of_one_by_chance():
     assert np.mean(chance.driven) == pytest.approx(1.0, abs=0.45)
 
 
+@pytest.mark.second
 def test_a_reference_that_is_the_input_changes_nothing():
     rng = np.random.default_rng(8)
     record = white(TWO, rng, duration=300.0, noise=0.2)
@@ -486,6 +487,7 @@ def test_references_that_cannot_be_are_refused(options, message):
         frequency_response(record, omega=[2.0, 3.0], **options)
 
 
+@pytest.mark.second
 def test_windows_longer_than_all_records_of_an_input_do_not_count():
     # A long record moves b at 2 rad/s and else in answer to the output; those that do are short.
     rng, omega = np.random.default_rng(6), np.array([2.0, 4.0])

@@ -41,7 +41,7 @@ def test_the_stated_error_of_a_noise_free_sweep_is_that_of_its_windows(system, l
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("method", ["local", "windows"])
+@pytest.mark.parametrize("method", ["local", pytest.param("windows", marks=pytest.mark.campaign)])
 def test_noise_is_not_taken_for_leakage(method):
     inflation, inside = [], []
     for seed in range(8):

@@ -46,7 +46,7 @@ def test_a_brisk_linear_sweep_leaks_nothing_into_a_response_by_its_reference():
     assert (off < 1.5 * windows.error[:, 0, 0]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_errors_by_way_of_references_hold():
     inside = []
     for seed in range(24):

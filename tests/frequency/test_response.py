@@ -16,6 +16,7 @@ def measured():
     return frequency_response(uh60.sweeps(seed=1), omega=np.geomspace(0.5, 12, 30))
 
 
+@pytest.mark.second
 def test_a_saved_response_reads_back_the_same(measured, tmp_path):
     path = tmp_path / "response.json"
     G = measured.G.copy()

@@ -190,7 +190,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_class_of_the_script_that_runs_travels_to_dask_workers(tmp_path):
     pytest.importorskip("distributed")
     script = tmp_path / "own.py"

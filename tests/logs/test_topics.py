@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from casid.logs.topics import Bounded, DamagedLogError, increasing, make_topic
 
 
+@pytest.mark.second
 @given(st.lists(st.integers(0, 6) | st.just(float("nan")), max_size=9))
 def test_as_few_samples_as_possible_are_left_out_where_stamps_go_back(stamps):
     t = np.array(stamps, dtype=float)

@@ -69,6 +69,7 @@ def test_a_condition_whose_values_contradict_the_estimate_is_told(estimate):
         estimate(Swing(), measured)
 
 
+@pytest.mark.second
 def test_a_start_of_what_is_unknown_contradicts_nothing():
     conditions = [replace(CONDITIONS[1], values={"theta": 0.5, "lon": 0.0}, unknown=("lon",))]
     targets = {
@@ -92,6 +93,7 @@ def test_what_is_no_condition_is_told(model, data, told):
         match(model, data)
 
 
+@pytest.mark.second
 def test_a_trim_that_does_not_exist_is_named_with_what_keeps_it_from_balance():
     # At theta of at most 1.2 rad a stick of 50 turns it by 8 * 50 * cos(1.2) - 6 * sin(1.2) = 139.
     trim = Trim(name="60 kn", values={"theta": 0.3, "lon": 50.0}, unknown=("theta",))
@@ -134,6 +136,7 @@ def test_a_condition_of_which_nothing_counts_is_refused_by_name(change, why):
         match(Swing(), measured)
 
 
+@pytest.mark.second
 def test_what_targets_contribute_is_told_by_condition():
     targets = {CONDITIONS[0]: TRUTH.at(CONDITIONS[0]).system()}
     targets |= dict([list(responses(np.geomspace(0.5, 10, 25)).items())[1]])

@@ -54,6 +54,7 @@ def flown(responses, thetas=THETAS):
     return {trim(theta, name): one for theta, name, one in named}
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("estimate", ESTIMATORS, ids=NAMES)
 @pytest.mark.filterwarnings("error::casid.DataWarning")
 def test_conditions_of_one_aircraft_contradict_nothing(estimate):
@@ -61,6 +62,7 @@ def test_conditions_of_one_aircraft_contradict_nothing(estimate):
         estimate(Swing(), flown(measured(seed)))
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("estimate", ESTIMATORS, ids=NAMES)
 @pytest.mark.filterwarnings(UNBALANCED)
 @pytest.mark.parametrize("mistake", ["values", "exchanged", "degrees"])

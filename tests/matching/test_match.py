@@ -18,6 +18,7 @@ from casid import (
 )
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_match_recovers_an_unstable_delayed_structure_from_its_own_response(norm):
     fit = match(HoverRoll(), black_box(TRUTH.system()), norm=norm)
@@ -66,6 +67,7 @@ def test_relative_errors_are_matched_where_they_are_asked_for():
     np.testing.assert_allclose(fit.model.vector(), where, atol=2e-3)
 
 
+@pytest.mark.second
 def test_prior_values_draw_a_match_as_errors_of_a_hundredth_do():
     omega, prior, std = np.geomspace(0.1, 10.0, 40), 1.2, 0.03
     G = SECOND.response(omega)[:, 0, 0]
@@ -149,6 +151,7 @@ def test_a_constraint_has_the_price_of_the_bound_it_stands_for_in_whatever_unit(
     assert fit["a"].value == pytest.approx(0.7, rel=1e-6)
 
 
+@pytest.mark.second
 def test_channels_are_found_by_name():
     system = TRUTH.system()
     shuffled = StateSpace(
@@ -209,6 +212,7 @@ class Runaway(Lag):
     k: Scalar = parameter(default=1.0, unit="-")
 
 
+@pytest.mark.second
 def test_optimum_at_infinity_is_not_believed():
     gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]],
                       inputs=("u",), outputs=("x",))  # fmt: skip

@@ -203,6 +203,7 @@ def test_any_lag_is_recovered(a, k):
     np.testing.assert_allclose(fit.model.vector(), [a, k], rtol=1e-6)
 
 
+@pytest.mark.second
 def test_recovery_is_to_rounding():
     fit = match(HoverRoll(), black_box(TRUTH.system()), norm="hinf")
     np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-7)

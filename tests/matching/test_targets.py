@@ -279,6 +279,7 @@ def test_target_of_another_kind_is_refused():
         match(Lag(), black_box(SECOND), fixed=("a", "k"))
 
 
+@pytest.mark.second
 def test_a_certificate_says_which_targets_exist_at_their_points_alone():
     seen, box, omega = measured(SECOND, np.geomspace(1, 10, 6)), black_box(SECOND), OMEGA
     assert match(Lag(), seen, weight="size").certificate.at_points == ("measured",)

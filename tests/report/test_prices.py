@@ -22,6 +22,7 @@ def compared():
     return compare_bounds(Positive(), [record()], cases=cases)
 
 
+@pytest.mark.second
 def test_the_figure_has_a_row_a_parameter_the_largest_price_first(compared):
     ax = Figure().subplots()
     assert plot_bounds(ax, compared, rows=2) is ax

@@ -54,6 +54,7 @@ def test_holes_irregular_sampling_and_records_of_any_length_are_no_obstacle():
     assert relative_error(fit).max() < 1e-5
 
 
+@pytest.mark.second
 def test_a_missing_channel_costs_only_its_own_information():
     records = [noisy(1), noisy(2)]
     blind = [records[0], replace(records[1], y=records[1].y * [np.nan, 1, 1])]
@@ -70,6 +71,7 @@ class Tied(Roll):
         return [Constraint("Ylat = 0.2 Llat", self.Ylat - 0.2 * self.Llat)]
 
 
+@pytest.mark.second
 def test_ties_hold_and_sharpen_what_they_tie():
     records = [noisy(1), noisy(2)]
     free, tied = output_error(Roll(), records), output_error(Tied(), records)

@@ -256,6 +256,7 @@ class RollingFreely(NonlinearModel):
         return [self.Lp * x.p + self.Llat * u.lat, x.p]
 
 
+@pytest.mark.second
 def test_a_nonlinear_structure_is_told_its_way_to_a_filter():
     records = [rolled(seed, 0.02, [0.1, 0.3], wait=1) for seed in (1, 2)]
     told = FOLLOWED + r".*process_noise=True \(filter error\) and RollingFreely\(\)\.at\(trim\)"

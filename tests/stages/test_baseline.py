@@ -24,6 +24,7 @@ def render(fit):
     return str(body(section, None))
 
 
+@pytest.mark.second
 def test_every_pair_and_parameter_stands_in_the_report(fit):
     page = render(fit)
     for row in fit.notes.table:

@@ -110,6 +110,7 @@ def test_responses_say_nothing_of_how_records_hold_their_inputs(domain):
     assert joint == pytest.approx(_better_as_steps(plain, fit, records), abs=0.5)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 def test_prior_values_make_no_steps_likelier(domain):
     plain, records = OutputError(domain=domain), [noisy(1)]

@@ -103,6 +103,7 @@ def test_support_leaves_one_percent_of_the_norm_outside(k):
     assert np.sqrt(tail) < 0.012
 
 
+@pytest.mark.second
 @given(seed=st.integers(0, 10_000), a=st.floats(3.0, 30.0))
 def test_bilinear_maps_invert_each_other(seed, a):
     rng = np.random.default_rng(seed)
