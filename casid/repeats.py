@@ -7,6 +7,9 @@ intervals on average, and count several times as measurements.
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
 
 from casid.display import listed
 from casid.errors import DataWarning, warn
@@ -17,12 +20,29 @@ ALIKE = 1.05  # times the interval of a source, from which on another is slower
 SOURCE = "of a source slower than the logger"
 
 
-def held_outputs(record: Record, outputs: Collection[str] | None = None) -> dict[str, float]:
-    """Interval [s] of the source of those ``outputs``, all unless given, that repeat samples."""
-    pairs = zip(record.outputs, record.y.T, strict=True)
-    own = ((name, x) for name, x in pairs if outputs is None or name in outputs)
-    marks = ((name, x, repeats_of(x)) for name, x in own)
-    return {name: interval_of(record.dt, x, held) for name, x, held in marks if held.any()}
+class Source(NamedTuple):
+    """Where samples of an output come from."""
+
+    interval: float  # s, between its samples
+    logged: float  # s, between those that are logged
+
+    @property
+    def late(self) -> float:
+        """By how much repeated samples are late in the mean [s]."""
+        return (self.interval - self.logged) / 2
+
+
+def held_outputs(record: Record, outputs: Collection[str] | None = None) -> dict[str, Source]:
+    """Sources of those ``outputs``, all unless given, that repeat samples."""
+    found = {}
+    for name, x in zip(record.outputs, record.y.T, strict=True):
+        held = repeats_of(x) if outputs is None or name in outputs else np.zeros(0, dtype=bool)
+        if held.any():
+            logged = record.dt * len(x) / np.isfinite(x).sum()  # others are missing already
+            source = Source(interval_of(record.dt, x, held), float(logged))
+            if source.interval > ALIKE * source.logged:
+                found[name] = source
+    return found
 
 
 def repeats_told(records: Sequence[Record], outputs: Collection[str] | None = None) -> str:
@@ -35,12 +55,13 @@ def repeats_told(records: Sequence[Record], outputs: Collection[str] | None = No
     names = list(dict.fromkeys(name for _, held in found for name in held))
     where = list(dict.fromkeys(repr(record.name) for record, _ in found))
     some = f" in record{'s' * (len(where) > 1)} {listed(where)}" * (len(found) < len(every))
-    intervals = [interval for _, held in found for interval in held.values()]
+    sources = [source for _, held in found for source in held.values()]
+    intervals = [source.interval for source in sources]
     rates = f"{1 / max(intervals):.3g}"
     if max(intervals) > ALIKE * min(intervals):
         rates += f" to {1 / min(intervals):.3g}"
-    logged = f"{1 / min(record.dt for record, _ in found):.3g}"
-    late = max(max(held.values()) - record.dt for record, held in found) / 2
+    logged = f"{1 / min(source.logged for source in sources):.3g}"
+    late = max(source.late for source in sources)
     return (
         f"{listed(names, 10)} repeat{'s' * (len(names) == 1)} samples {SOURCE}{some}: {rates} Hz, "
         f"logged at {logged} Hz. Taken for measurements, they make delays up to "

@@ -19,7 +19,8 @@ from casid import (
     validate,
     without_repeats,
 )
-from casid.repeats import repeats_told, tell_repeats
+from casid.repeats import held_outputs, repeats_told, tell_repeats
+from casid.repetition import repeated
 
 T = 0.01 * np.arange(2000)
 WAVE = np.cumsum(np.random.default_rng(4).standard_normal(len(T)))
@@ -105,3 +106,17 @@ def test_a_chain_tells_of_all_its_records_at_once():
 def test_two_amplitudes_tell_once():
     flown = [rolled(seed, amplitude) for seed in (1, 2) for amplitude in (0.05, 0.1)]
     assert len(told(lambda: distortion(flown, omega=np.array([2.0, 3.0])))) == 1
+
+
+def test_of_what_is_missing_already_the_rest_is_judged_by_its_own_interval():
+    missing = np.arange(len(T)) % 2 == 1
+    chance = WAVE.copy()  # three samples of a hundred are as the one measured before
+    chance[np.arange(100, len(T), 66)] = chance[np.arange(100, len(T), 66) - 2]
+    y = np.where(missing[:, None], np.nan, np.column_stack([chance, held(WAVE, 4)]))
+    flown = Record(T, WAVE[:, None], y, ("lat",), ("p", "q"))
+    assert repeated(flown)[:, 1].any()
+    ((name, found),) = held_outputs(flown).items()
+    assert name == "q"
+    assert found.interval == pytest.approx(0.04, rel=0.02)
+    assert found.logged == pytest.approx(0.02)
+    assert found.late == pytest.approx(0.01, rel=0.05)
