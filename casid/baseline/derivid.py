@@ -33,15 +33,21 @@ from casid.frequency.response import FrequencyResponse
 from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
+from casid.matching.misfit import misfit, residuals
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.programme import Optimum
 from casid.matching.targets import Target
 from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
-from casid.nonlinear.conditions import Trim
+from casid.nonlinear.conditions import Trim, by_condition
 from casid.records import several
 from casid.threads import one_thread
 from casid.truncated import OnBounds, beside_bounds
+
+GROWN = (
+    "and all bands take residuals for noise of their size, but what a structure misses is none: "
+    "parameters can be off by more"
+)
 
 
 @checked_fields
@@ -106,9 +112,9 @@ class Derivid:
         problem = Condensed.of(free, self._compare(model, [measured]))
         check_effects(problem, missing_channels(model, measured))
         starts = self.starts if near is None else min(2, self.starts)
-        found = descents(problem, starts, self.seed)
-        best = solve(problem, found, self.solver)
-        fit = _result(problem, model, measured, found, best, time.perf_counter() - began)
+        minima = descents(problem, starts, self.seed)
+        best = solve(problem, minima, self.solver)
+        fit = _result(problem, model, measured, minima, best, time.perf_counter() - began)
         if not fit.success:
             broken = violated(free, best.values)
             why = f"{fit.status}: {broken}" if broken else fit.status
@@ -117,6 +123,11 @@ class Derivid:
                 f"with J = {fit.cost:.4g}, is in .best",
                 fit,
             )
+        if len(by_condition(measured.outputs)) == 1:  # several may contradict each other: see there
+            found = replace(free, model=fit.model)
+            active = np.array([fit.parameters[i].active for i in free.index], dtype=bool)
+            if said := misfit(found, active, problem.comparison, [measured]):
+                warn(f"derivid: {said}; std_error {GROWN}")
         return fit
 
     def _at_conditions(
@@ -168,10 +179,11 @@ def derivid(
     -------
     Fit
         ``cost`` is the sum of J over pairs. ``std_error`` and ``covariance`` are what the stated
-        errors of the responses cause, H⁻¹ JᵀW C W J H⁻¹ with their covariance C. ``cramer_rao`` is
-        √(H⁻¹)ᵢᵢ and ``insensitivity`` 1/√Hᵢᵢ, H the Gauss-Newton Hessian of the cost: T&R's
-        figures, in which the noise is not. Where responses state no errors ``std_error`` is
-        √(H⁻¹)ᵢᵢ too, and a `DataWarning` says so.
+        errors of the responses cause, H⁻¹ JᵀW C W J H⁻¹ with their covariance C; residuals that
+        exceed these surely, smoothed over frequency, stand for them, and a `DataWarning` names
+        pairs most of whose points do. ``cramer_rao`` is √(H⁻¹)ᵢᵢ and ``insensitivity`` 1/√Hᵢᵢ, H
+        the Gauss-Newton Hessian of the cost: T&R's figures, in which the noise is not. Where
+        responses state no errors ``std_error`` is √(H⁻¹)ᵢᵢ too, and a `DataWarning` says so.
 
     Raises
     ------
@@ -217,7 +229,7 @@ def _result(
     active = at_bounds(free, values, accuracy(jacobian, held_by_none)[1])
     held = holding(free, values, held_by_none)
     cr, insensitivity, bound = accuracy(jacobian, active, held)
-    covariance = _scatter(problem, frf, jacobian, bound)
+    covariance = _scatter(problem, frf, values, jacobian, bound)
     scatter = np.full(len(cr), np.nan) if covariance is None else np.sqrt(np.diag(covariance))
     open_, rigid = within(free, values, active, best.multipliers, best.prices)
     noise = bound if covariance is None else covariance
@@ -256,10 +268,11 @@ def _residual_slopes(problem: Condensed, x: Array) -> Array:
 
 
 def _scatter(
-    problem: Condensed, frf: FrequencyResponse, jacobian: Array, bound: Array
+    problem: Condensed, frf: FrequencyResponse, values: Array, jacobian: Array, bound: Array
 ) -> Array | None:
     """Covariance (nf, nf) of λ that errors of the response cause, correlated as they are.
 
+    Residuals at free values (nf,) that surely exceed the stated errors stand for these.
     ``bound`` is H⁻¹; what it has no finite number for keeps that. None, with a warning, where a
     point that is fitted has no stated error.
     """
@@ -282,7 +295,7 @@ def _scatter(
             "all bands are √(H⁻¹) of the cost, which does not know the noise: give random_error"
         )
         return None
-    white = whitener(replace(frf, flags={}), there)
+    white = whitener(_grown(problem, replace(frf, flags={}), values), there)
     total = white.spread(np.where(there[..., None], own[place], 0.0))
     priors = gain[:, 2 * n :] * c.prior_weight("decibel")
     return np.where(np.isfinite(bound), total + priors @ priors.T, bound)
@@ -305,6 +318,21 @@ def _beside_bounds(
     more = beside_bounds(K, bounded, float(wider) if told.any() else 1.0)
     known = np.where(np.isnan(covariance), 0.0, covariance)  # on their bounds
     return known + more
+
+
+def _grown(problem: Condensed, frf: FrequencyResponse, values: Array) -> FrequencyResponse:
+    """The response with errors as large as its residuals at free values, where that is sure."""
+    c = problem.comparison
+    found = residuals(problem.free.model, problem.matrices(values), frf, c.sources[0])
+    if found is None:
+        return frf
+    factors, first = np.ones(frf.G.shape), 0
+    excess = found.white.excess(np.abs(found.r) ** 2 / 2)
+    for pair, at, _ in found.white.along:
+        i, j = divmod(pair, len(frf.inputs))
+        factors[at, i, j] = excess[first : first + len(at)]
+        first += len(at)
+    return replace(frf, random_error=factors * frf.error, leakage=np.zeros(frf.G.shape))
 
 
 def _pair_rows(problem: Condensed, values: Array) -> tuple[PairCost, ...]:

@@ -26,12 +26,15 @@ LEAST = 1e-4  # of a response, the smallest error believed
 NEAR = 0.7  # standard deviation of the weights of neighbours [nepers of frequency]
 BESIDE = 0.15  # of those that say how large a response is
 FLAT = 1e-6  # of the places' variance, of two points that say no slope
+REACH = 0.35  # over which residuals' power is smoothed [nepers of frequency]
+SURE = 4.0  # standard errors of a mean power above one that noise does not explain
 
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
     """Makes the errors of a response's usable points independent, of unit variance."""
 
+    omega: Array  # (K,) frequencies [rad/s]
     used: BoolArray  # (K, ny, nu) points that count: measured, with a stated error, not flagged
     across: ComplexArray  # (K, ny nu, ny nu) A_k⁻¹ of a frequency's pairs, triangular; zero unused
     along: tuple[tuple[int, NDArray[np.intp], Array], ...]  # pair, its places, inverse root of ρ
@@ -49,6 +52,22 @@ class Whitener:
         return np.concatenate(
             [np.tensordot(root, mixed[at, pair], 1) for pair, at, root in self.along]
         )
+
+    def excess(self, power: Array) -> Array:
+        """By what factors (points,) residuals exceed the stated errors, 1 where that is not sure.
+
+        ``power`` (points,) is that of independent ones, half their squared modulus: 1 on average
+        where errors are as stated. Smoothed over frequency, pair by pair.
+        """
+        found, first = [], 0
+        for _, at, _ in self.along:
+            place, own = np.log(self.omega[at]), power[first : first + len(at)]
+            near = np.abs(place[:, None] - place) <= REACH
+            count = near.sum(axis=1)
+            mean = near @ own / count
+            found.append(np.where(mean > 1 + SURE / np.sqrt(count), np.sqrt(mean), 1.0))
+            first += len(at)
+        return np.concatenate(found)
 
     def spread(self, gains: ComplexArray) -> Array:
         """Covariance (m, m) of m numbers Re Σ c ΔG that errors cause, c (K, ny, nu, m) the gains.
@@ -98,7 +117,8 @@ def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
         np.mean(alike[at, p]) * np.sum(np.linalg.inv(root.T @ root) ** 2) for p, at, root in along
     )
     independent = float(used.sum() ** 2 / shared)
-    return Whitener(used, across, tuple(along), std.reshape(used.shape), independent)
+    std = std.reshape(used.shape)
+    return Whitener(response.omega, used, across, tuple(along), std, independent)
 
 
 def _root(omega: Array, width: Array) -> Array:

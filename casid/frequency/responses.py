@@ -53,7 +53,8 @@ def read_frequency_csv(
     Raises
     ------
     ValueError
-        An unknown column or form, coherence outside [0, 1], frequencies that do not increase.
+        An unknown column or form, coherence outside [0, 1], a random error of 0, frequencies that
+        do not increase.
     """
     if form not in get_args(Form):
         raise ValueError(f"form={form!r}: expected one of {', '.join(get_args(Form))}")
@@ -75,7 +76,7 @@ def read_frequency_csv(
         G[at] = _complex(values[0], values[1], form)
         _check_gains(G[at], f"{path}: {columns[0]}", values[0])
         coherence[at] = _coherence(values[2], f"{path}: {columns[2]}") if values[2:] else 1.0
-        error[at] = values[3] if values[3:] else np.nan
+        error[at] = _error(values[3], f"{path}: {columns[3]}") if values[3:] else np.nan
         width[at] = np.nan_to_num(values[4]) if values[4:] else 0.0
     coherence[np.isnan(G)] = np.nan
     return FrequencyResponse(
@@ -200,6 +201,16 @@ def _coherence(values: Array, where: str) -> Array:
     if ((values < 0) | (values > 1)).any():
         k = int(np.flatnonzero((values < 0) | (values > 1))[0])
         raise ValueError(f"{where} is {values[k]:g} in row {k + 1}; coherence is in [0, 1]")
+    return values
+
+
+def _error(values: Array, where: str) -> Array:
+    if (values == 0).any():
+        raise ValueError(
+            f"{where} is 0 in row {int(np.flatnonzero(values == 0)[0]) + 1}: no measurement is "
+            "without error, and a fit would take that for certain; leave the cell empty, or the "
+            "column out, where the random error is not known"
+        )
     return values
 
 

@@ -21,6 +21,7 @@ from casid.frequency.responses import side_by_side
 from casid.linear import StateSpace
 from casid.matching.comparison import Comparison
 from casid.matching.discord import discord
+from casid.matching.misfit import misfit
 from casid.matching.targets import Target
 from casid.model import Bounds, M, Model
 from casid.nonlinear.conditions import Trim, at_condition
@@ -68,7 +69,8 @@ def fit_at_conditions(
     fit = estimator.fit(linear, chosen, fixed=fixed, bounds=bounds)
     free = free_parameters(fit.model, fixed, bounds)
     active = np.array([fit.parameters[i].active for i in free.index], dtype=bool)
-    if said := discord(free, active, compared(linear, chosen), targets):
+    own = free, active, compared(linear, chosen)
+    if said := discord(*own, targets) or misfit(*own, chosen):
         warn(f"{fit.method}: {said}")
     found = model.with_values_of(fit.model)
     warn_astray(found, [each for each in conditions if not each.unknown])

@@ -11,26 +11,20 @@ as the structure has it.
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
-from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from casid.arrays import Array, BoolArray, ComplexArray
+from casid.arrays import Array, BoolArray
 from casid.display import listed
-from casid.estimates import holding
-from casid.evaluation import Matrices, MatrixFunction
+from casid.evaluation import MatrixFunction
 from casid.free import Free
-from casid.frequency.covariance import steadied, whitener
-from casid.frequency.response import FrequencyResponse
-from casid.matching.comparison import Comparison, Source
+from casid.matching.comparison import Comparison
+from casid.matching.misfit import NOTHING, directions, measurements, residuals
 from casid.matching.targets import Target
-from casid.model import Model
 from casid.nonlinear.conditions import by_condition
 
 FAR = 3.0  # times the stated variance that is told
 MOST = 0.5  # of what is left of a condition's squares, that a step of its own explains
 SELDOM = 1e-6  # chance by which a step explains as much of residuals that no step explains
-NOTHING = 1e-8  # of the largest singular value, all parameters moving a response alike
 
 WHY = (
     "most of which parameters of its own would explain: the conditions contradict each other, and "
@@ -55,23 +49,18 @@ def discord(
         Those of its sources, or those put together in its one source, each of one condition. Black
         boxes among them say nothing.
     """
-    merged = len(comparison.sources) < len(targets)
-    sources = comparison.sources * len(targets) if merged else comparison.sources
     measured = [
         (next(iter(by_condition(target.outputs))), target, source)
-        for target, source in zip(targets, sources, strict=True)
-        if isinstance(target, FrequencyResponse)
+        for target, source in measurements(comparison, targets)
     ]
     if len({condition for condition, *_ in measured}) < 2:
         return ""
-    values, scale = free.guess, free.scale[free.index]
-    rows = holding(free, values, active) * scale
-    room = scale[:, None] * (scipy.linalg.null_space(rows) if len(rows) else np.eye(len(scale)))
-    matrices = MatrixFunction(free)(values)
+    room, matrices = directions(free, active), MatrixFunction(free)(free.guess)
     parts: dict[str, list[tuple[Array, Array]]] = {}
     for condition, target, source in measured:
-        if (found := _residuals(free.model, matrices, target, source)) is not None:
-            parts.setdefault(condition, []).append((found[0], found[1] @ room))
+        if (found := residuals(free.model, matrices, target, source)) is not None:
+            r, J = found.parts()
+            parts.setdefault(condition, []).append((r, J @ room))
     if len(parts) < 2:
         return ""
     own = {
@@ -103,39 +92,3 @@ def _explains(J: Array, left: Array) -> bool:
         return False
     ratio = gain / rank / max((total - gain) / rest, np.finfo(float).tiny)
     return bool(fdtrc(rank, rest, ratio) < SELDOM)
-
-
-def _residuals(
-    model: Model, matrices: Matrices, target: FrequencyResponse, source: Source
-) -> tuple[Array, Array] | None:
-    """A target's residuals (m,), independent, and derivatives (m, nf); None without errors."""
-    measured = steadied(target).take(np.flatnonzero(np.isin(target.omega, source.omega)))
-    outputs = [name for name in measured.outputs if name in model.outputs]
-    inputs = [name for name in measured.inputs if name in model.inputs]
-    every = np.arange(len(measured.omega))
-    place = np.ix_(every, *_places(measured, outputs, inputs))
-    own = _places(model, outputs, inputs)
-    at = np.searchsorted(source.omega, measured.omega)
-    used, off = np.zeros(measured.G.shape, dtype=bool), np.zeros(measured.G.shape, dtype=complex)
-    used[place] = source.W[np.ix_(at, *own)] > 0
-    try:
-        white = whitener(measured, used)
-    except ValueError:  # none of these points states an error
-        return None
-    G, slopes = matrices.response_slopes(1j * measured.omega)
-    by_lam = np.zeros((*off.shape, len(slopes)), dtype=complex)
-    misses: ComplexArray = G[np.ix_(every, *own)] - source.G[np.ix_(at, *own)]
-    off[place] = misses
-    by_lam[place] = np.moveaxis(slopes, 0, -1)[np.ix_(every, *own)]
-    r, J = white(off), white(by_lam)
-    return np.concatenate([r.real, r.imag]), np.vstack([J.real, J.imag])
-
-
-def _places(
-    of: FrequencyResponse | Model, outputs: Sequence[str], inputs: Sequence[str]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions of channels in a response or a structure."""
-    return (
-        np.array([of.outputs.index(name) for name in outputs], dtype=np.intp),
-        np.array([of.inputs.index(name) for name in inputs], dtype=np.intp),
-    )

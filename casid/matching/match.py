@@ -23,13 +23,14 @@ from casid.free import Free, free_parameters
 from casid.matching.appraisal import MatchNotes
 from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
+from casid.matching.misfit import misfit
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import MatchResult, MatchSearch
 from casid.matching.targets import REACHABLE, SIZE, Target, Weight, check_weight_name, comparison_of
 from casid.matching.untold import untold
 from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
-from casid.nonlinear.conditions import Trim
+from casid.nonlinear.conditions import Trim, by_condition
 from casid.records import several
 from casid.threads import one_thread
 
@@ -106,14 +107,19 @@ class Match:
         free = free_parameters(model, fixed, bounds, self.priors)
         search = self._search(free, several(data))
         fits = search.quadratic()
-        found = search.hinf(fits) if self.norm == "hinf" else fits[0]
-        fit = _result(search, found, self, model, time.perf_counter() - begin)
+        best = search.hinf(fits) if self.norm == "hinf" else fits[0]
+        fit = _result(search, best, self, model, time.perf_counter() - begin)
         told = fit.method, fit.cost, fit.iterations, fit.seconds
         LOG.info("%s: cost %.6g, %d iterations, %.2f s", *told)
         if not fit.success:
             raise ConvergenceError(f"match {self.norm}: {fit.status}", best=fit)
         active = np.array([fit.parameters[i].active for i in free.index], dtype=bool)
-        if names := untold(free, search.comparison, found.values, active):
+        found = replace(free, model=fit.model)
+        if len(by_condition(model.outputs)) == 1 and (
+            said := misfit(found, active, search.comparison, several(data))
+        ):
+            warn(f"match: {said}")
+        if names := untold(free, search.comparison, best.values, active):
             warn(
                 f"match: the targets do not determine {listed(names)}: their values are where the "
                 "search ended; fix or tie some of them, or add a target that tells them apart"

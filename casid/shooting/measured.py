@@ -34,8 +34,6 @@ from casid.model import M, Model
 from casid.record import Record
 from casid.shooting.agreement import Source, disagreement, misstated
 
-REACH = 0.35  # of the smoothing [nepers of frequency]
-SURE = 4.0  # standard errors of a mean power above one that noise does not explain
 ROUNDS = 4  # of estimates, each weighed by the residuals of the last
 FAR = 3.0  # stated errors that half of a pair's points are off, above which that is told
 ALIKE = 0.2  # change of a weight's logarithm that makes no other estimate
@@ -208,16 +206,8 @@ class _Measured:
 
     def excess(self, r: Array) -> Array:
         """Weights (rows,) of residuals r that are larger than stated, smoothed over frequency."""
-        half, found, first = len(r) // 2, [], 0
-        power = (r[:half] ** 2 + r[half:] ** 2) / 2
-        for _, at, _ in self._whiten.along:
-            place, own = np.log(self._s.imag[at]), power[first : first + len(at)]
-            near = np.abs(place[:, None] - place) <= REACH
-            count = near.sum(axis=1)
-            mean = near @ own / count
-            found.append(np.where(mean > 1 + SURE / np.sqrt(count), 1 / np.sqrt(mean), 1.0))
-            first += len(at)
-        return np.tile(np.concatenate(found), 2)
+        half = len(r) // 2
+        return np.tile(1 / self._whiten.excess((r[:half] ** 2 + r[half:] ** 2) / 2), 2)
 
     def residuals(self, matrices: MatrixFunction, values: Array) -> tuple[Array, Array]:
         """Independent residuals (rows,) of unit variance, and derivatives (rows, nf)."""

@@ -161,3 +161,10 @@ def test_a_column_that_a_response_lacks_is_told_by_its_own_arguments(tmp_path):
         ValueError, match=r"no column 'omega'.*omega = NAME, or the columns of pairs"
     ):
         read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")})
+
+
+def test_a_stated_error_of_zero_is_refused(tmp_path):
+    path = tmp_path / "exact.csv"
+    path.write_text("omega,g,ph,c,e\n1,0,-45,1,0.1\n2,-3,-63,1,0\n")
+    with pytest.raises(ValueError, match=r"exact.csv: e is 0 in row 2: .* leave the cell empty"):
+        read_frequency_csv(path, pairs={("p", "lat"): ("g", "ph", "c", "e")})
