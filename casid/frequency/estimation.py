@@ -19,6 +19,7 @@ from casid.errors import warn
 from casid.fingerprints import fingerprint
 from casid.frequency import sampling
 from casid.frequency.composite import composite
+from casid.frequency.differing import differing
 from casid.frequency.estimate import Estimate
 from casid.frequency.feedback import NoiseInInputs, noise_in_inputs
 from casid.frequency.response import FrequencyResponse
@@ -132,8 +133,12 @@ class SpectralAnalysis:
             records=tuple(record.name for record in records),
             fingerprints=tuple(fingerprint(record) for record in plain), printed=(),
         )  # fmt: skip
-        _warn(found, silent, plain)
+        _warn(found, silent, plain, self._doubts(records, omega))
         return found
+
+    def _doubts(self, records: Sequence[Record], omega: Array) -> str:
+        """What says that records disagree, where inputs are all that tells of outputs."""
+        return "" if self.reference or not self.conditioned else differing(records, omega)
 
     def _channels(self, records: Sequence[Record]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Inputs and outputs of the response: all channels but the references."""
@@ -227,7 +232,7 @@ def frequency_response(
     -------
     FrequencyResponse
         Points to distrust are listed in ``flags``; those that cannot be had at all are NaN, and a
-        `DataWarning` says why.
+        `DataWarning` says why. Another names a record whose own response is not the others'.
 
     Raises
     ------
@@ -336,8 +341,12 @@ def _listed(why: Mapping[str, BoolArray]) -> dict[str, tuple[int, ...]]:
     return {word: tuple(int(k) for k in np.flatnonzero(at)) for word, at in why.items() if at.any()}
 
 
-def _warn(found: FrequencyResponse, silent: Sequence[str], records: Sequence[Record]) -> None:
+def _warn(
+    found: FrequencyResponse, silent: Sequence[str], records: Sequence[Record], differ: str
+) -> None:
     tell_repeats(records)
+    if differ:
+        warn(differ)
     for reason, at in found.flags.items():
         worst = np.nanmax(found.condition[list(at)]) if "condition" in reason else np.nan
         number = "" if np.isnan(worst) else f" (up to {worst:.3g})"

@@ -12,6 +12,9 @@ from casid.report.html import body
 from casid.report.words import number
 from casid.stages.baseline import BASELINE
 
+# The quasi-steady structure misses the rotor.
+pytestmark = pytest.mark.filterwarnings("ignore:derivid. measured responses are farther off")
+
 
 @pytest.fixture(scope="module")
 def fit():
