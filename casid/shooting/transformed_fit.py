@@ -35,6 +35,7 @@ from casid.shooting.frequency import (
     white,
 )
 from casid.shooting.lines import Lines, transformed
+from casid.shooting.missed import warn_of_missed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
 from casid.shooting.sides import done, heard, searched
 from casid.shooting.spectral import as_real
@@ -117,6 +118,8 @@ def _fit(
     )
     more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
     success, status = verdict(solution, outcome.settled, unsettled, more, violated(free, lam))
+    if (state := programme.state(solution.x)) is not None:
+        warn_of_missed(METHOD, lines, state.residuals, state.F, programme.spectra)
     R = _variances(programme, solution.x)
     begun = [
         predict(model.system(), each.record, np.sqrt(R), PredictionPlan(np.inf)) for each in lines

@@ -83,7 +83,7 @@ class Tied(Roll):
 
 
 @pytest.mark.second
-@pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
+@pytest.mark.filterwarnings("ignore:.*(few lines|follow the inputs)")
 def test_prices_are_slopes_of_the_cost():  # held off the estimate, which colours the residuals
     records, R = campaign(5), np.diag([NOISE[name] ** 2 for name in TRUTH.outputs])
     bounds, costs = -1.9, []
