@@ -133,12 +133,13 @@ class SpectralAnalysis:
             records=tuple(record.name for record in records),
             fingerprints=tuple(fingerprint(record) for record in plain), printed=(),
         )  # fmt: skip
-        _warn(found, silent, plain, self._doubts(records, omega))
+        _warn(found, silent, plain, self._doubts(records, found))
         return found
 
-    def _doubts(self, records: Sequence[Record], omega: Array) -> str:
+    def _doubts(self, records: Sequence[Record], found: FrequencyResponse) -> str:
         """What says that records disagree, where inputs are all that tells of outputs."""
-        return "" if self.reference or not self.conditioned else differing(records, omega)
+        known = self.conditioned and not self.reference
+        return differing(records, found.omega, found.G) if known else ""
 
     def _channels(self, records: Sequence[Record]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Inputs and outputs of the response: all channels but the references."""
