@@ -480,6 +480,7 @@ def test_heave_after_a_collective_step_follows_its_equations_and_overshoots():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:derivid. measured responses are farther off")  # without noise
 @pytest.mark.parametrize("structure", [HybridFlap, HybridFlapLag], ids=named)
 def test_a_hybrid_model_follows_all_pairs_of_the_articulated_rotor(structure):
     # Found: 42 and 32 (benchmarks/structures.py); quasi-steady six degrees of freedom: 270.
@@ -490,6 +491,7 @@ def test_a_hybrid_model_follows_all_pairs_of_the_articulated_rotor(structure):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:derivid. measured responses are farther off")
 def test_identified_from_noisy_sweeps_the_hybrid_models_beat_the_quasi_steady_one():
     measured = frequency_response(records(SWEEPS, seed=20130), omega=np.geomspace(0.4, 14, 40))
     validation = unseen()

@@ -177,7 +177,8 @@ def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
 
     ``p_lat_dB``, ``p_lat_deg`` (unwrapped), ``p_lat_coherence``, ``p_lat_error`` and
     ``p_lat_resolution`` [rad/s], within which errors are alike; `pairs_of` names them for
-    `read_frequency_csv`. Correlations of errors between outputs are in JSON alone.
+    `read_frequency_csv`. An error of zero, as of a model's response, is an empty cell. Correlations
+    of errors between outputs are in JSON alone.
     """
     table = {"omega": response.omega}
     with np.errstate(divide="ignore"):
@@ -187,7 +188,8 @@ def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
         phase = np.angle(response.G[:, i, j])
         known = np.isfinite(phase)
         phase[known] = np.unwrap(phase[known])
-        told = response.coherence, response.error, response.resolution
+        error = np.where(response.error > 0, response.error, np.nan)  # of a model, none
+        told = response.coherence, error, response.resolution
         quality = (each[:, i, j] for each in told)
         values = (gain[:, i, j], np.degrees(phase), *quality)
         table |= dict(zip(columns, values, strict=True))

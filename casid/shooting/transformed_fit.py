@@ -118,7 +118,7 @@ def _fit(
     )
     more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
     success, status = verdict(solution, outcome.settled, unsettled, more, violated(free, lam))
-    if (state := programme.state(solution.x)) is not None:
+    if success and (state := programme.state(solution.x)) is not None:
         warn_of_missed(METHOD, lines, state.residuals, state.F, programme.spectra)
     R = _variances(programme, solution.x)
     begun = [
