@@ -43,6 +43,8 @@ LONG = (
     "envelope",
     "dask",
     "weights",
+    "units",
+    "bounds",
 )  # pages whose examples take long and stand in other tests too
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)

@@ -123,7 +123,7 @@ def kill_again_and_again(program, study, times, rng, command="identify"):
         assert before <= check_whole(study.parent)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_killed_study_loses_nothing_and_goes_on(copy):
     expected = results(copy)
     kill_again_and_again(IDENTIFY, copy / "study.toml", 3, random.Random(1))

@@ -134,7 +134,7 @@ def test_the_fit_does_not_depend_on_units():
     assert fast.delay == pytest.approx(base.delay / 50, rel=1e-4)
 
 
-@pytest.mark.second
+@pytest.mark.campaign
 def test_stated_errors_scale_with_the_scatter():
     rng = np.random.default_rng(1)
     noise = 0.03

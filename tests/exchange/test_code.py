@@ -185,7 +185,7 @@ def test_an_fmu_runs_in_another_program(tmp_path):
 
 
 @needs_compiler
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_inputs_that_change_reach_an_fmu_in_small_steps_of_euler_only(tmp_path):
     fmpy = pytest.importorskip("fmpy")
     roll = StateSpace(

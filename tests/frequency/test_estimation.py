@@ -29,7 +29,7 @@ def relative(response, system):
     return response.G / system.response(response.omega) - 1
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_bias_is_that_of_the_windows_bandwidth():
     """A Hann window averages G over its bandwidth: the bias is G''/2 times 4π²/(3T²)."""
     rng = np.random.default_rng(3)
