@@ -87,7 +87,7 @@ def test_an_interruption_at_any_moment_is_one_line_and_the_same_command_goes_on(
         before = kept
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_run_that_is_terminated_ends_alike_and_leaves_no_lock(tmp_path):
     write_study(tmp_path)
     for moment in ("casid.nlp._Watcher:eval:60", "matplotlib.backends.backend_svg"):

@@ -42,7 +42,11 @@ def test_what_is_late_by_itself_is_told_and_moves_alone(names, lag):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [VELOCITIES, ATTITUDES], ids=["velocities", "attitudes"])
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param(VELOCITIES, marks=pytest.mark.campaign), ATTITUDES],
+    ids=["velocities", "attitudes"],
+)
 def test_a_late_reference_is_no_place_of_accelerometers(names):
     # At 40 m/s velocities 0.1 s late read as a lever of -4 m where only forces are delayed.
     check = kinematic_check(late(names, 0.1))
@@ -106,7 +110,7 @@ def test_a_late_heading_spoils_no_skew_of_a_rate():
     assert np.abs(z).max() < 3.5  # six normal values: exceeded once in 360
 
 
-@pytest.mark.second
+@pytest.mark.campaign
 def test_forces_late_beside_late_velocities_are_told_against_the_others():
     check = kinematic_check(late((*VELOCITIES, *FORCES), 0.1))
     assert check.apart.names == VELOCITIES

@@ -59,12 +59,8 @@ def test_dirty_records_of_any_speed_name_it_too(name, regime):
     assert named(said, name)
 
 
-@pytest.mark.parametrize(
-    "late",
-    [{}, pytest.param({"p": 0.06}, marks=pytest.mark.campaign)],
-    ids=["alone", "beside a late rate"],
-)
-@pytest.mark.slow
+@pytest.mark.parametrize("late", [{}, {"p": 0.06}], ids=["alone", "beside a late rate"])
+@pytest.mark.campaign
 def test_other_mistakes_are_told_as_of_the_channel_set_upright(late):
     records = reversed_in(flown(102, late=late), "theta")
     check = kinematic_check(changed(records, "q", lambda q: 1.2 * q))
