@@ -35,11 +35,14 @@ class OnBounds(NamedTuple):
         return np.asarray((self.rows.T * (12.0 / self.room**2)) @ self.rows)
 
 
-def beside_bounds(K: Array, held: OnBounds, wider: float = 1.0) -> Array:
+def beside_bounds(
+    K: Array, held: OnBounds, covariances: tuple[Array, Array] | None = None
+) -> Array:
     """Covariance (n, n) that what is on bounds adds to one in which it is known to be there.
 
-    Of the inverse information K (n, n) with these bounds let go, and how many times the variance of
-    estimates is that by it. Nothing is added of what K does not know.
+    Of the inverse information K (n, n) with these bounds let go. ``covariances`` (n, n) are of what
+    else is estimated, by the information and as it is: what makes it larger, as colour, widens what
+    a bound leaves open alike, in the geometric mean. Nothing is added of what K does not know.
     """
     K = np.where(np.isfinite(K), K, 0.0)
     rows = held.rows * held.side[:, None]  # inwards
@@ -48,10 +51,17 @@ def beside_bounds(K: Array, held: OnBounds, wider: float = 1.0) -> Array:
         return np.zeros_like(K)
     rows, slope, room = rows[told], (held.side * held.slope)[told], held.room[told]
     cross = K @ rows.T
-    inner = rows @ cross
+    inner, wider = rows @ cross, 1.0 if covariances is None else _wider(*covariances)
     size = np.sqrt(np.diag(inner))
     follow = cross / size @ scipy.linalg.pinvh(inner / np.outer(size, size)) / size
     return np.asarray(follow @ second_moments(-inner @ slope, wider * inner, room) @ follow.T)
+
+
+def _wider(by_information: Array, covariance: Array) -> float:
+    """How many times the one's variances are the other's, where both know them."""
+    white, own = np.diag(by_information), np.diag(covariance)
+    told = np.isfinite(white) & np.isfinite(own) & (white > 0) & (own > 0)
+    return float(np.exp(np.mean(np.log(own[told] / white[told])))) if told.any() else 1.0
 
 
 def second_moments(mean: Array, covariance: Array, room: Array) -> Array:

@@ -313,11 +313,8 @@ def _beside_bounds(
     anywhere = bounded.rows * (np.sqrt(6.0) / bounded.room)[:, None]  # H = 2 JᵀJ
     nowhere = np.zeros(len(bound), dtype=bool)
     K = accuracy(np.vstack([jacobian, anywhere]), nowhere, ties)[2]
-    told = np.isfinite(np.diag(covariance)) & (np.diag(bound) > 0)
-    wider = np.exp(np.mean(np.log(np.diag(covariance)[told] / np.diag(bound)[told])))
-    more = beside_bounds(K, bounded, float(wider) if told.any() else 1.0)
     known = np.where(np.isnan(covariance), 0.0, covariance)  # on their bounds
-    return known + more
+    return known + beside_bounds(K, bounded, (bound, covariance))
 
 
 def _grown(problem: Condensed, frf: FrequencyResponse, values: Array) -> FrequencyResponse:
@@ -326,12 +323,11 @@ def _grown(problem: Condensed, frf: FrequencyResponse, values: Array) -> Frequen
     found = residuals(problem.free.model, problem.matrices(values), frf, c.sources[0])
     if found is None:
         return frf
-    factors, first = np.ones(frf.G.shape), 0
+    factors = np.ones(frf.G.shape)
     excess = found.white.excess(np.abs(found.r) ** 2 / 2)
-    for pair, at, _ in found.white.along:
+    for pair, at, own in found.white.runs():
         i, j = divmod(pair, len(frf.inputs))
-        factors[at, i, j] = excess[first : first + len(at)]
-        first += len(at)
+        factors[at, i, j] = excess[own]
     return replace(frf, random_error=factors * frf.error, leakage=np.zeros(frf.G.shape))
 
 

@@ -100,7 +100,7 @@ class Ensemble(Shown):
             return np.full((len(self.names), 2), np.nan)
         if tail * (n + 1) >= 1:
             return np.asarray(np.quantile(done, [tail, 1 - tail], axis=0, method="weibull").T)
-        reach = scipy.stats.t.ppf(1 - tail, n - 1) * np.sqrt(1 + 1 / n) * self.scatter
+        reach = scipy.special.stdtrit(n - 1, 1 - tail) * np.sqrt(1 + 1 / n) * self.scatter
         return np.asarray(done.mean(axis=0) + np.multiply.outer([-1, 1], reach)).T
 
     def to_csv(self) -> str:

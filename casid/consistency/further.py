@@ -26,13 +26,13 @@ ROUNDING = 1e-9  # of a level, by which what stands still may move
 AWAY = 0.2  # m: an accelerometer's place that matters
 SEEN = 0.5  # m: the largest error of it
 
-MILLI = "time seems to count in {0} but be read as s: state its unit, {0}"
+COUNTED = "time seems to count in {0} but be read as s: state its unit, {0}"
 FACTORS = {
     "it has the opposite sign": -1.0,
     "it seems to be in degrees, or its reference in radians though called degrees": 180 / np.pi,
     "its reference seems to be in degrees": np.pi / 180,
-    MILLI.format("ms"): 1e3,
-    MILLI.format("us"): 1e6,
+    COUNTED.format("ms"): 1e3,
+    COUNTED.format("us"): 1e6,
     "it seems to be in g": 1 / GRAVITY,
     "it seems to be in feet": 1 / 0.3048,
     "its reference seems to be in feet": 0.3048,

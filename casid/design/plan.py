@@ -119,11 +119,11 @@ class Design(Shown):
         """What is flown, and how much better it is, if it is."""
         _, mean, worst, name = next(row for row in self.ratios() if row[0] == self.kind)
         of = f"of {listed(self.matter)} " * bool(self.matter)
+        before = ", each with what is known before" * bool(np.isfinite(self.before).any())
         parts = [
             f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors {of}"
             f"{mean:.3g} times those of 3-2-1-1 (geometric mean), {worst:.3g} at worst ({name})"
-            + ", each with what is known before"
-            * bool(np.isfinite(self.before).any()),
+            f"{before}",
             self._gain(mean),
             f"without {listed(self.untold)}, which no input tells apart" * bool(self.untold),
             self.warning(),

@@ -10,6 +10,7 @@ those of two outputs as their noise does, those of two inputs as the inverse of 
 is A_k ρ_kl A_lᴴ, with A_k A_kᴴ that of the pairs at one frequency.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,15 +60,20 @@ class Whitener:
         ``power`` (points,) is that of independent ones, half their squared modulus: 1 on average
         where errors are as stated. Smoothed over frequency, pair by pair.
         """
-        found, first = [], 0
-        for _, at, _ in self.along:
-            place, own = np.log(self.omega[at]), power[first : first + len(at)]
+        found = np.empty(len(power))
+        for _, at, own in self.runs():
+            place = np.log(self.omega[at])
             near = np.abs(place[:, None] - place) <= REACH
             count = near.sum(axis=1)
-            mean = near @ own / count
-            found.append(np.where(mean > 1 + SURE / np.sqrt(count), np.sqrt(mean), 1.0))
-            first += len(at)
-        return np.concatenate(found)
+            mean = near @ power[own] / count
+            found[own] = np.where(mean > 1 + SURE / np.sqrt(count), np.sqrt(mean), 1.0)
+        return found
+
+    def runs(self) -> Iterator[tuple[int, NDArray[np.intp], slice]]:
+        """Of every pair its number, its frequencies' places, and where its points are among all."""
+        first = 0
+        for pair, at, _ in self.along:
+            yield pair, at, slice(first, first := first + len(at))
 
     def spread(self, gains: ComplexArray) -> Array:
         """Covariance (m, m) of m numbers Re Σ c ΔG that errors cause, c (K, ny, nu, m) the gains.

@@ -75,11 +75,9 @@ def _far(found: Residuals, room: Array, target: FrequencyResponse) -> Iterator[t
     size = np.linalg.norm(J, axis=0)
     J = J / np.where(size > 0, size, 1.0)
     left = (r - J @ np.linalg.lstsq(J, r, rcond=NOTHING)[0]).reshape(2, -1)
-    power, first = (left**2).sum(axis=0) / 2, 0
-    for pair, at, _ in found.white.along:
-        own = power[first : first + len(at)]
-        first += len(at)
-        usual = min(np.median(own) / np.log(2), np.mean(own))
+    power = (left**2).sum(axis=0) / 2
+    for pair, at, own in found.white.runs():
+        usual = min(np.median(power[own]) / np.log(2), np.mean(power[own]))
         freedom = 2 * found.white.independent * len(at) / len(power)
         if usual > FAR**2 and chdtrc(freedom, freedom * usual) < SELDOM:
             i, j = divmod(pair, len(target.inputs))

@@ -191,12 +191,11 @@ class _Measured:
 
     def far(self, weights: Array) -> list[str]:
         """Pairs whose points, half of them or more, are far beyond their stated errors."""
-        found, first, nu = [], 0, len(self._names[1])
-        for pair, at, _ in self._whiten.along:
+        found, nu = [], len(self._names[1])
+        for pair, _, own in self._whiten.runs():
             output, inp = self._names[0][pair // nu], self._names[1][pair % nu]
-            factor = float(np.median(1 / weights[first : first + len(at)]))
+            factor = float(np.median(1 / weights[own]))
             found += [f"{output} after {inp} {factor:.2g} times"] * (factor > FAR)
-            first += len(at)
         return found
 
     @property

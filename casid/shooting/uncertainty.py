@@ -139,15 +139,11 @@ def beside_bounds(
     """Covariance (nf, nf) that what is on bounds adds to one in which it is known.
 
     ``ties`` (m, nf) are without the bounds, ``covariances`` (nf, nf) of white residuals and of
-    those that there are: colour widens what a bound leaves open as it does what else is estimated,
-    in the geometric mean.
+    those that there are.
     """
     more = held.information
     K = determined(F + more, ties, alone + np.diag(more))
-    white, coloured = (np.diag(each) for each in covariances)
-    told = (white > 0) & (coloured > 0) & np.isfinite(white)
-    wider = float(np.exp(np.mean(np.log(coloured[told] / white[told])))) if told.any() else 1.0
-    return truncated.beside_bounds(K, held, wider)
+    return truncated.beside_bounds(K, held, covariances)
 
 
 def singular(names: Sequence[str], model: Model | None = None) -> str:

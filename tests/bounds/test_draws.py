@@ -4,50 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from truths.decay import A, Decay, Plain
 from truths.mixture import Inline, record
 
 from casid import (
     DataWarning,
     Execution,
-    Model,
-    NonlinearModel,
     OutputError,
     Record,
-    Rows,
-    Scalar,
     bootstrap,
-    parameter,
 )
 from casid.bounds import resampling
 from casid.bounds.draws import BlockDraw
 
-A, NOISE, SPREAD, T = -0.5, 0.15, 0.1, 0.05 * np.arange(20)
-
-
-class Decay(Model):
-    """x' = a x + u from somewhere about 1."""
-
-    states, inputs, outputs = ("x",), ("u",), ("x",)
-    a: Scalar = parameter(default=A, lower=-5.0, upper=5.0, unit="1/s")
-
-    def A(self) -> Rows:
-        return [[self.a]]
-
-    def B(self) -> Rows:
-        return [[1.0]]
-
-
-class Plain(NonlinearModel):
-    """The same, in total values."""
-
-    states, inputs, outputs = Decay.states, Decay.inputs, Decay.outputs
-    a: Scalar = parameter(default=A, lower=-5.0, upper=5.0, unit="1/s")
-
-    def derivatives(self, x, u):
-        return [self.a * x.x + u.u]
-
-    def measurements(self, x, u):  # noqa: ARG002
-        return [x.x]
+NOISE, SPREAD, T = 0.15, 0.1, 0.05 * np.arange(20)
 
 
 def test_blocks_keep_the_order_of_their_residuals_and_begin_anywhere():

@@ -5,51 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from truths.decay import Decay, Plain
 from truths.mixture import NOISE, Mixture, least_squares, record
 
 from casid import (
     Ensemble,
-    Model,
-    NonlinearModel,
     OutputError,
     Record,
-    Rows,
-    Scalar,
     bootstrap,
     output_error,
-    parameter,
 )
 from casid.bounds import resampling
 from casid.bounds.draws import BlockDraw
 from casid.bounds.leverage import Leverage
 
 N = 120  # samples of a short record: 6 s
-
-
-class Decay(Model):
-    """x' = a x + u."""
-
-    states, inputs, outputs = ("x",), ("u",), ("x",)
-    a: Scalar = parameter(default=-0.5, lower=-5.0, upper=5.0, unit="1/s")
-
-    def A(self) -> Rows:
-        return [[self.a]]
-
-    def B(self) -> Rows:
-        return [[1.0]]
-
-
-class Plain(NonlinearModel):
-    """The same, in total values."""
-
-    states, inputs, outputs = Decay.states, Decay.inputs, Decay.outputs
-    a: Scalar = parameter(default=-0.5, lower=-5.0, upper=5.0, unit="1/s")
-
-    def derivatives(self, x, u):
-        return [self.a * x.x + u.u]
-
-    def measurements(self, x, u):  # noqa: ARG002
-        return [x.x]
 
 
 def short():
