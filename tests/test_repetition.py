@@ -158,3 +158,11 @@ def test_a_channel_that_is_merely_rounded_is_not_held(motion):
 def test_two_values_of_a_clock_are_no_source_behind_steps():
     bits = np.repeat(np.random.default_rng(2).choice([-1.0, 1.0], len(T) // 10), 10)
     assert not repeated(record(bits, bits)).any()
+
+
+def test_moves_in_neighbouring_samples_are_of_no_slower_source():
+    rng = np.random.default_rng(6)
+    moves = np.where(np.arange(len(T)) % 5 == 0, rng.choice([1, -1, 2, -3], len(T)), 0)
+    assert repeated(record(WAVE, np.cumsum(moves)))[:, 1].mean() == pytest.approx(0.8, abs=0.02)
+    moves[rng.choice(len(T) // 5, 30, replace=False) * 5 + 1] = 3  # a leap goes on
+    assert not repeated(record(WAVE, np.cumsum(moves))).any()

@@ -56,3 +56,17 @@ def test_what_nothing_is_known_of_adds_nothing():
     assert not beside_bounds(K, bounded).any()
     one = OnBounds(np.eye(3)[1:2], np.zeros(1), np.ones(1), np.array([2.0]))
     np.testing.assert_allclose(one.information, np.diag([0, 3, 0]))
+
+
+def test_bounds_of_both_sides_are_open_inwards():
+    rng = np.random.default_rng(5)
+    X = rng.standard_normal((40, 3)) @ [[1, 0.9, 0.2], [0, 0.5, 0.6], [0, 0, 1]]
+    F, best = X.T @ X, np.array([-0.05, 0.1, -1.0])  # without 0 below the first, above the second
+    held = np.array([0.0, 0.0, (F @ best)[2] / F[2, 2]])
+    slope = (F @ (held - best))[:2]
+    known = np.diag([0.0, 0.0, 1 / F[2, 2]])
+    bounded = OnBounds(np.eye(3)[:2], slope, np.array([1.0, -1.0]), np.full(2, np.inf))
+    found = known + beside_bounds(np.linalg.inv(F), bounded)
+    drawn = rng.multivariate_normal(best, np.linalg.inv(F), size=1_000_000)
+    off = drawn[(drawn[:, 0] > 0) & (drawn[:, 1] < 0)] - held
+    np.testing.assert_allclose(found, off.T @ off / len(off), rtol=0.05, atol=1e-4)

@@ -170,6 +170,13 @@ def test_a_response_survives_csv(response, tmp_path):
     assert list(frequency_table(response))[:3] == ["omega", "p_lat_dB", "p_lat_deg"]
 
 
+def test_an_error_of_zero_is_written_as_none(response, tmp_path):
+    exact = replace(response, random_error=np.zeros(response.G.shape))
+    write_frequency(tmp_path / "frf.csv", exact)
+    back = read_frequency_csv(tmp_path / "frf.csv", pairs=pairs_of(exact))
+    assert np.isnan(back.error).all()
+
+
 def test_matlab_has_the_response_as_frd_wants_it(response, tmp_path):
     write_frequency(tmp_path / "frf.mat", response)
     found = scipy.io.loadmat(tmp_path / "frf.mat", simplify_cells=True)

@@ -1,5 +1,7 @@
 """What structures miss of measured responses, in stated errors."""
 
+import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -57,3 +59,16 @@ def test_a_single_point_and_unknown_errors_accuse_nothing():
     match(Lags(), measured(0, missed=1.1, points=slice(10, 11)), norm="quadratic")
     lagged = measured(0, missed=1 / (1 + 0.1j * OMEGA))
     match(Lags(), replace(lagged, random_error=np.full(lagged.G.shape, np.nan)), norm="quadratic")
+
+
+@pytest.mark.parametrize(("apart", "size"), [(2.0, None), (6.0, np.sqrt(19)), (20.0, np.sqrt(201))])
+def test_what_no_parameter_explains_is_told_by_its_size(apart, size):
+    # Errors of G in turn: beside noise of unit variance the mean of both parts' squares is this.
+    turn = 1 + apart * ERROR * (-1.0) ** np.arange(len(OMEGA))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        match(Lags(), measured(0, missed=turn), norm="quadratic")
+    told = re.findall(r"p after lat (\S+) times", " ".join(str(each.message) for each in caught))
+    assert len(told) == (size is not None)
+    for factor in told:
+        assert float(factor) == pytest.approx(size, rel=0.2)
