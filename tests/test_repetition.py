@@ -164,5 +164,5 @@ def test_moves_in_neighbouring_samples_are_of_no_slower_source():
     rng = np.random.default_rng(6)
     moves = np.where(np.arange(len(T)) % 5 == 0, rng.choice([1, -1, 2, -3], len(T)), 0)
     assert repeated(record(WAVE, np.cumsum(moves)))[:, 1].mean() == pytest.approx(0.8, abs=0.02)
-    moves[rng.choice(len(T) // 5, 30, replace=False) * 5 + 1] = 3  # a leap goes on
+    moves[rng.choice(len(T) // 5, 15, replace=False) * 5 + 1] = 3  # a leap goes on
     assert not repeated(record(WAVE, np.cumsum(moves))).any()

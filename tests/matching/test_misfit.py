@@ -61,7 +61,7 @@ def test_a_single_point_and_unknown_errors_accuse_nothing():
     match(Lags(), replace(lagged, random_error=np.full(lagged.G.shape, np.nan)), norm="quadratic")
 
 
-@pytest.mark.parametrize(("apart", "size"), [(2.0, None), (6.0, np.sqrt(19)), (20.0, np.sqrt(201))])
+@pytest.mark.parametrize(("apart", "size"), [(2.5, None), (6.0, np.sqrt(19)), (20.0, np.sqrt(201))])
 def test_what_no_parameter_explains_is_told_by_its_size(apart, size):
     # Errors of G in turn: beside noise of unit variance the mean of both parts' squares is this.
     turn = 1 + apart * ERROR * (-1.0) ** np.arange(len(OMEGA))
