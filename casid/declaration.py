@@ -1,6 +1,7 @@
 """What can be wrong with a model file, told with the name of the culprit."""
 
-from collections.abc import Callable, Collection, Mapping, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Set
+from contextlib import contextmanager
 from dataclasses import fields
 from numbers import Real
 from typing import Any
@@ -194,7 +195,7 @@ def written(symbolic: Any, method: str, convert: Callable[[Any], Any], *argument
     """What a method of the user's class gives; whatever it raises is told with its name."""
     where = f"{type(symbolic).__name__}.{method}"
     try:
-        with time_limit(limits.USER_SECONDS):
+        with time_limit(limits.USER_SECONDS), _numpy_functions():
             return convert(getattr(symbolic, method)(*arguments))
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from error
@@ -215,6 +216,20 @@ def written(symbolic: Any, method: str, convert: Callable[[Any], Any], *argument
                 "write casadi.if_else, casadi.fmin or casadi.fmax, or use a bound or a constraint"
             ) from error
         raise ModelError(f"{where} raised {type(error).__name__}: {error}") from error
+
+
+@contextmanager
+def _numpy_functions() -> Iterator[None]:
+    """Let NumPy's functions of symbols give symbols, without CasADi's notice that they may change.
+
+    What a user has chosen (``casadi.GlobalOptions.setNumpyMode``) stays.
+    """
+    chosen = ca.GlobalOptions.getNumpyMode()
+    ca.GlobalOptions.setNumpyMode(chosen or -1)
+    try:
+        yield
+    finally:
+        ca.GlobalOptions.setNumpyMode(chosen)
 
 
 def check_lengths(rows: Any) -> None:  # noqa: ANN401 - whatever the user wrote

@@ -101,3 +101,16 @@ def test_a_guess_that_gives_nan_is_told_with_the_entry():
     model = structure(A=lambda self: [[math.sin(self.a)]])()
     with pytest.raises(ModelError, match=r"is nan .*casadi.sin, not math.sin"):
         model.system()
+
+
+def test_functions_of_numpy_are_expressions_without_a_word_and_leave_its_mode_as_chosen(recwarn):
+    model = structure(A=lambda self: [[-np.exp(np.abs(np.sin(self.a)))]])
+    assert model(a=0.5).system().A[0, 0] == pytest.approx(-math.exp(math.sin(0.5)), rel=1e-15)
+    assert not recwarn.list
+    chosen = ca.GlobalOptions.getNumpyMode()
+    ca.GlobalOptions.setNumpyMode(1)
+    try:
+        structure(A=lambda self: [[-np.cosh(self.a)]])().system()
+        assert ca.GlobalOptions.getNumpyMode() == 1
+    finally:
+        ca.GlobalOptions.setNumpyMode(chosen)

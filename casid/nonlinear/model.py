@@ -217,5 +217,5 @@ def _check_finite(
             if not np.isfinite(value):
                 raise ModelError(
                     f"{type(model).__name__}: {said} {name!r} is {value} {where}; check its "
-                    "formula, or give a condition in which it holds"
+                    "formula (casadi.sin, not math.sin), or give a condition in which it holds"
                 )
