@@ -148,5 +148,6 @@ from .studies.runner import run_study as run_study
 from .studies.study import read_records as read_records
 from .studies.studyfile import read_study as read_study
 from .subspace.pbsid import BlackBox as BlackBox, Pbsid as Pbsid, pbsid as pbsid
-from .subspace.settings import OrderSelection as OrderSelection, select_order as select_order
+from .subspace.candidates import OrderSelection as OrderSelection
+from .subspace.settings import select_order as select_order
 from .validation import Validation as Validation, validate as validate

@@ -9,6 +9,7 @@ from typing import Any, Generic, cast
 
 from casid.consistency.flights import repeats
 from casid.consistency.kinematics import KinematicCheck
+from casid.display import Cells, Shown, Tabled, counted
 from casid.errors import DataWarning
 from casid.fit import Fit, M_co
 from casid.frequency.response import FrequencyResponse
@@ -38,8 +39,8 @@ from casid.threads import one_thread
 from casid.validation import Validation
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Identification(Generic[M_co]):
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Identification(Tabled, Generic[M_co]):
     """What each stage found.
 
     Parameters
@@ -49,6 +50,16 @@ class Identification(Generic[M_co]):
     """
 
     results: Mapping[str, Any]
+
+    def headline(self) -> str:
+        """The last of its fits."""
+        fits = [each for each in self.results.values() if isinstance(each, Fit)]
+        return fits[-1].headline() if fits else counted(len(self.results), "stage")
+
+    def cells(self) -> Cells:
+        """Heading, and one row a stage."""
+        shown = {name: each for name, each in self.results.items() if isinstance(each, Shown)}
+        return ("stage", "found"), [[name, each.headline()] for name, each in shown.items()]
 
     @property
     def kinematics(self) -> KinematicCheck:

@@ -4,7 +4,7 @@ import sys
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeAlias
 
 
 def digits_beside_one(value: float, least: int) -> int:
@@ -51,6 +51,17 @@ class Shown:
             Another number of axes than the figure has; an unknown channel.
         """
         return _drawn_above("plots").plot(self, ax, **choice)
+
+
+Cells: TypeAlias = tuple[Sequence[str], Sequence[Sequence[str]]]  # heading and rows
+
+
+class Tabled(Shown):
+    """A value that knows its own table."""
+
+    @abstractmethod
+    def cells(self) -> Cells:
+        """Heading and rows."""
 
 
 class ProgressLine:

@@ -45,12 +45,12 @@ _HOMES: Mapping[str, tuple[str, ...]] = {
     "shooting.uncertainty": ("Collinearity",),
     "stages.choice": ("StepChoice",),
     "subspace.blackbox": ("BlackBox",),
+    "subspace.candidates": ("Candidate", "OrderSelection"),
     "subspace.columns": ("Segment",),
     "subspace.modal": ("Modal",),
     "subspace.pbsid": ("Pbsid",),
     "subspace.prediction": ("SampledUncertainty",),
     "subspace.refinement": ("ResponseUncertainty",),
-    "subspace.settings": ("Candidate", "OrderSelection"),
     "subspace.trust": ("Missed",),
 }
 

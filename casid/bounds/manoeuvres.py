@@ -17,7 +17,7 @@ import scipy
 from casid.arrays import Array
 from casid.bounds.trials import Fits, aicc, run_fits
 from casid.checks import check_known
-from casid.display import Shown
+from casid.display import Cells, Tabled
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
@@ -38,7 +38,7 @@ TOP = 0.75  # of the highest frequency, from where residuals are noise
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class StructureComparison(Shown):
+class StructureComparison(Tabled):
     """How well candidates predict manoeuvres that they were not estimated from.
 
     Parameters
@@ -132,7 +132,7 @@ class StructureComparison(Shown):
             return f"{of}; every candidate failed"
         return f"{of}; best {self.best}, the simplest that is not worse {self.simplest}"
 
-    def cells(self) -> tuple[tuple[str, ...], list[list[str]]]:
+    def cells(self) -> Cells:
         """Heading, and one row a candidate: "failed" of one that did on some manoeuvre."""
         each = zip(self.names, self.parameters, *self.excess, self.aicc, strict=True)
         rows = []

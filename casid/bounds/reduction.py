@@ -13,7 +13,7 @@ import numpy as np
 from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, DerividNotes
 from casid.bounds.trials import Data, Fits, aicc
 from casid.checks import check_known, checked_fields
-from casid.display import Shown
+from casid.display import Cells, Tabled
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, ParameterEstimate
@@ -45,7 +45,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Reduction(Shown):
+class Reduction(Tabled):
     """What was held, step by step.
 
     Parameters
@@ -78,7 +78,7 @@ class Reduction(Shown):
         free = len(self.full.free_names)
         return f"{len(self.held)} of {free} free parameters held by {self.criterion}"
 
-    def cells(self) -> tuple[tuple[str, ...], list[list[str]]]:
+    def cells(self) -> Cells:
         """Heading, and one row a step."""
         rows = []
         for step in self.steps:

@@ -7,6 +7,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.bounds.trials import Data, Fits
+from casid.display import Cells, Tabled, counted
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
@@ -19,8 +20,8 @@ from casid.tabulation import csv_text
 SAME = 1e-6  # relative difference of costs that are the same minimum
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Multistart:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Multistart(Tabled):
     """Minima found from many starts.
 
     Parameters
@@ -39,6 +40,20 @@ class Multistart:
     costs: Array
     reasons: tuple[str, ...]
     fit: AnyFit
+
+    def headline(self) -> str:
+        """The best fit, and how many starts ended there."""
+        many = counted(len(self.starts), "start")
+        return f"{self.agreeing} of {many} ended in the best minimum: {self.fit.headline()}"
+
+    def cells(self) -> Cells:
+        """Heading, and one row a start: where it began, what it came to."""
+        names = self.fit.free_names
+        rows = []
+        for start, cost, reason in zip(self.starts, self.costs, self.reasons, strict=True):
+            began = [f"{float(getattr(start, name)):.4g}" for name in names]
+            rows.append([*began, f"failed: {reason}" if reason else f"{cost:.8g}"])
+        return (*names, "cost"), rows
 
     @property
     def agreeing(self) -> int:

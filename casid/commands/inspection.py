@@ -11,14 +11,14 @@ from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.measured import strays, white_noise
 from casid.consistency.plausibility import unit_doubts
-from casid.display import Shown, counted, in_a_row, listed
+from casid.display import Cells, Shown, counted, in_a_row, listed
 from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
 from casid.records import Records, same_channels, several, steps_told
 from casid.repetition import repeated, source_interval
-from casid.report.tables import Cells, cells
+from casid.report.tables import cells
 from casid.samples import bursts
 from casid.saturation import longest_stop, saturated
 from casid.structure.identifiability import Identifiability, identifiability

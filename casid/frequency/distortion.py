@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.display import Cells, Tabled
 from casid.frequency.covariance import whitener
 from casid.frequency.estimation import SpectralAnalysis
 from casid.frequency.leakage import over_three
@@ -32,8 +33,8 @@ LINEAR = 25.0  # square of one of them, up to which it counts: single points pro
 
 
 @storable
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Distortion:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Distortion(Tabled):
     """What noise and what amplitude make of a response.
 
     Parameters
@@ -67,6 +68,23 @@ class Distortion:
     def nonlinear(self) -> bool:
         """Whether the response depends on amplitude by more than noise."""
         return bool((np.nan_to_num(self.excess) > LEVEL).any())
+
+    def headline(self) -> str:
+        """Its sentence."""
+        return self.sentence()
+
+    def cells(self) -> Cells:
+        """Heading, and one row an output: what differs beyond noise, and what noise explains."""
+        rows = []
+        for i, output in enumerate(self.outputs):
+            row = [output]
+            for j in range(len(self.inputs)):
+                differs, noise = self.distortion[:, i, j], self.noise[:, i, j]
+                known = np.isfinite(differs) & np.isfinite(noise)
+                parts = (100 * np.median(x[known]) for x in (differs, noise)) if known.any() else ()
+                row.append(", noise ".join(f"{x:.2g} %" for x in parts) or "not known")
+            rows.append(row)
+        return ("between two amplitudes, median", *self.inputs), rows
 
     def sentence(self) -> str:
         """In words, with the pair and frequency at which it is clearest."""

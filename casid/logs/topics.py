@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.channels import SI
+from casid.display import Cells, Tabled, counted, listed
 
 BEYOND = 1e20  # of any unit: no sensor gives as much, nor do stamps of 64 bits
 NEAR = 25  # samples on either side of where stamps go back, by which a clock began anew
@@ -73,8 +74,8 @@ class Topic:
         return [(float(self.t[k]), float(steps[k])) for k in wide]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Log:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Log(Tabled):
     """All that could be read of a log.
 
     Parameters
@@ -93,6 +94,19 @@ class Log:
     kind: str
     topics: Mapping[str, Topic]
     notes: tuple[str, ...] = field(default=())
+
+    def headline(self) -> str:
+        """File, format and how many topics it has."""
+        return f"{self.path.name}, {self.kind}: {counted(len(self.topics), 'topic')}"
+
+    def cells(self) -> Cells:
+        """Heading, and one row a topic."""
+        rows = []
+        for topic in self.topics.values():
+            rate = f"{1 / topic.interval:.4g}" if topic.interval > 0 else ""
+            names = listed(list(topic.columns))
+            rows.append([topic.name, str(len(topic.t)), rate, str(len(topic.gaps())), names])
+        return ("topic", "samples", "rate [Hz]", "gaps", "columns"), rows
 
     def find(self, place: str) -> tuple[Topic, Array] | None:
         """Topic and values of a column, ``"vehicle_attitude.q[0]"``; None if it is not there."""

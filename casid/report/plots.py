@@ -44,11 +44,13 @@ from casid.report.prices import (
 from casid.report.readings import (
     plot_distances,
     plot_handling_qualities,
+    plot_order_selection,
     plot_transfer_function,
 )
 from casid.report.sheets import as_given, known, new_axes, styled
 from casid.residuals import Residuals
 from casid.subspace.blackbox import BlackBox
+from casid.subspace.candidates import OrderSelection
 from casid.validation import AnyModel, Validation, state_space, validate
 
 SLOWEST = 1e-6  # rad/s: what is slower is an integrator
@@ -287,6 +289,11 @@ def _(value: Cover, ax: Any) -> Any:  # noqa: ANN401
 def _(value: Distances, ax: Any) -> Any:  # noqa: ANN401
     axes = new_axes(ax, 1, 1, height=0.8 + 0.2 * len(value.by_pair()))
     return as_given(ax, [plot_distances(axes[0], value)])
+
+
+@_draw.register
+def _(value: OrderSelection, ax: Any) -> Any:  # noqa: ANN401
+    return as_given(ax, plot_order_selection(new_axes(ax, 2, 1, height=2.2), value))
 
 
 @_draw.register

@@ -12,7 +12,7 @@ from casid.baseline.loes import TransferFunction
 from casid.distances import Distances
 from casid.report.content import BASELINE
 from casid.report.figures import MEASURED, decibel, frequency_axis, phase, phase_axis, style
-from casid.subspace.settings import OrderSelection
+from casid.subspace.candidates import OrderSelection
 
 MARK: dict[str, Any] = {"color": "#D55E00", "linewidth": 0.9}
 MARKERS = "osD^vP*X"

@@ -1,6 +1,5 @@
 """Values as tables: of a notebook, of the console, of a page."""
 
-from collections.abc import Sequence
 from functools import singledispatch
 from typing import NamedTuple
 
@@ -13,14 +12,12 @@ from casid.bandwidth import HandlingBand
 from casid.baseline.handling import HandlingQualities
 from casid.baseline.loes import TransferFunction
 from casid.bounds.compare import BoundsComparison
-from casid.bounds.manoeuvres import StructureComparison
 from casid.bounds.profiles import Profile
-from casid.bounds.reduction import Reduction
 from casid.bounds.resampling import Ensemble
 from casid.consistency.kinematics import KinematicCheck
 from casid.cover import Cover
 from casid.design.plan import Design
-from casid.display import Shown, digits_beside_one
+from casid.display import Cells, Shown, Tabled, digits_beside_one
 from casid.distances import Distances
 from casid.eigenmodes import modes
 from casid.embedding import StructureError
@@ -52,7 +49,6 @@ class Share(NamedTuple):
     at: float
 
 
-Cells = tuple[Sequence[str], Sequence[Sequence[str]]]  # heading and rows
 PAGE = jinja2.Template(
     "<p><b>{{ kind }}</b> {{ headline }}</p><table><thead><tr>{% for cell in heading %}<th>"
     "{{ cell }}</th>{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}"
@@ -166,9 +162,8 @@ def _(value: BoundsComparison) -> Cells:
     return ("case", "cost", "increase", "predicted", "p", "held"), rows
 
 
-@cells.register(StructureComparison)
-@cells.register(Reduction)
-def _(value: StructureComparison | Reduction) -> Cells:
+@cells.register
+def _(value: Tabled) -> Cells:
     return value.cells()
 
 

@@ -11,11 +11,11 @@ from casid.display import Shown, counted
 from casid.excitations import Excitation
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold
+from casid.subspace.candidates import OrderSelection
 from casid.subspace.columns import Segment
 from casid.subspace.held import discretised, undiscretised
 from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
-from casid.subspace.settings import OrderSelection
 from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubts
 from casid.textfile import read_json, write_result
 from casid.values import DAMAGED, check_digest, decode, encode, storable

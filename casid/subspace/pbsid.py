@@ -24,6 +24,7 @@ from casid.records import Records, check_moved
 from casid.subspace import settings as choice
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.candidates import Candidate, OrderSelection, Refinement
 from casid.subspace.columns import Feedthrough, Segment, check_pole
 from casid.subspace.feedback import direct_term_is_ambiguous
 from casid.subspace.prediction import SampledUncertainty
@@ -153,7 +154,7 @@ class Pbsid:
             settings = selection.chosen
         else:
             factor = 1e-3 if factor is None else factor
-            settings = choice.Candidate.of(order, Windows(past, past, float(pole), factor))
+            settings = Candidate.of(order, Windows(past, past, float(pole), factor))
         estimate = self._refined(campaign, settings)
         while order is None and selection and estimate.missed and not len(estimate.doubtful):
             if estimate.missed.order > selection.chosen.order + RAISED:
@@ -169,7 +170,7 @@ class Pbsid:
             selection = replace(selection, chosen=settings)
         return self._black_box(campaign, settings, estimate, selection)
 
-    def _refined(self, campaign: Campaign, settings: choice.Candidate) -> Estimate:
+    def _refined(self, campaign: Campaign, settings: Candidate) -> Estimate:
         windows = self._windows(settings, len(campaign.sy))
         found = campaign.subspace(settings.order, windows)
         move, pole = self.refine, settings.pole
@@ -187,7 +188,7 @@ class Pbsid:
             return projected
         return self._sampled(campaign, best, self._selection(campaign, tried, rival))
 
-    def _sample_candidates(self, campaign: Campaign) -> list[choice.Candidate]:
+    def _sample_candidates(self, campaign: Campaign) -> list[Candidate]:
         regularisation = self.regularisation or 0.0
         channels = len(campaign.su) + len(campaign.sy)
         pasts = usual_windows(channels) if self.past is None else (self.past,)
@@ -195,15 +196,13 @@ class Pbsid:
         windows = [Windows(p, self.future or p, np.nan, regularisation) for p in pasts]
         return choose_samples(campaign, orders, windows, move=self.refine)
 
-    def _sample_settings(
-        self, campaign: Campaign
-    ) -> tuple[choice.Candidate, choice.OrderSelection | None]:
+    def _sample_settings(self, campaign: Campaign) -> tuple[Candidate, OrderSelection | None]:
         """Settings on samples; chosen unless an order is given."""
         if self.order is not None:
             past = self.past or max(PAST, -(-2 * self.order // len(campaign.sy)))
-            how: choice.Refinement = "prediction" if self.refine else "unrefined"
+            how: Refinement = "prediction" if self.refine else "unrefined"
             windows = Windows(past, past, np.nan, self.regularisation or 0.0)
-            return choice.Candidate.of(self.order, windows, how), None
+            return Candidate.of(self.order, windows, how), None
         tried = self._sample_candidates(campaign)
         if not tried:
             raise ValueError(
@@ -213,12 +212,12 @@ class Pbsid:
         return choice.best_of(tried), self._selection(campaign, tried, None)
 
     def _selection(
-        self, campaign: Campaign, tried: list[choice.Candidate], rival: choice.Candidate | None
-    ) -> choice.OrderSelection:
+        self, campaign: Campaign, tried: list[Candidate], rival: Candidate | None
+    ) -> OrderSelection:
         all_tried = choice.with_errors([*tried, rival] if rival else tried)
         best = choice.best_of(all_tried)
         found = campaign.subspace(best.order, best.windows)
-        return choice.OrderSelection(
+        return OrderSelection(
             chosen=best,
             candidates=tuple(all_tried),
             criterion="held-out stretches",
@@ -226,7 +225,7 @@ class Pbsid:
         )
 
     def _sampled(
-        self, campaign: Campaign, settings: choice.Candidate, chosen: choice.OrderSelection | None
+        self, campaign: Campaign, settings: Candidate, chosen: OrderSelection | None
     ) -> BlackBox:
         """Black box of samples."""
         found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
@@ -248,7 +247,7 @@ class Pbsid:
                     f"{longest.name!r}, has {longest.N} samples; lower it"
                 )
 
-    def _windows(self, settings: choice.Candidate, ny: int) -> Windows:
+    def _windows(self, settings: Candidate, ny: int) -> Windows:
         """The windows asked for, checked."""
         order, past, future = settings.order, settings.past, self.future or settings.past
         if order > min(past, future) * ny:
@@ -261,9 +260,9 @@ class Pbsid:
     def _black_box(
         self,
         campaign: Campaign,
-        settings: choice.Candidate,
+        settings: Candidate,
         estimate: Estimate,
-        selection: choice.OrderSelection | None,
+        selection: OrderSelection | None,
     ) -> BlackBox:
         windows = self._windows(settings, len(campaign.sy))
         projected = not np.isnan(settings.pole)

@@ -18,6 +18,7 @@ from casid.subspace.apart import (
     stated_errors,
 )
 from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.candidates import Refinement
 from casid.subspace.feedback import fed_back, fed_back_noise
 from casid.subspace.fourier import Spectrum
 from casid.subspace.gain import carried_gain, riccati_gain
@@ -26,7 +27,7 @@ from casid.subspace.prediction import SampledUncertainty, refine_samples
 from casid.subspace.realisation import Subspace
 from casid.subspace.refinement import ResponseUncertainty, refine, refined_system
 from casid.subspace.regression import regress_inputs
-from casid.subspace.settings import HIGHEST, Refinement
+from casid.subspace.settings import HIGHEST
 from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import (
     Growth,

@@ -19,12 +19,12 @@ from casid.arrays import Array
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.candidates import Candidate, Refinement
 from casid.subspace.columns import input_bandwidth
 from casid.subspace.feedback import fed_back_noise
 from casid.subspace.held import discretised
 from casid.subspace.predictor import accumulate
 from casid.subspace.refining import FED_BACK, Estimate, refine_projected, refine_sampled
-from casid.subspace.settings import Candidate, Refinement
 
 ORDERS = (*range(1, 11), *range(12, 21, 2))
 WINDOWS = (20, 10, 5)  # samples; the shorter ones where records do not suffice

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Literal
 
 import numpy as np
 
@@ -24,13 +23,13 @@ from casid.linear import StateSpace
 from casid.record import Record
 from casid.records import Records
 from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.candidates import Candidate, OrderSelection
 from casid.subspace.columns import Feedthrough
 from casid.subspace.fourier import Spectrum
 from casid.subspace.laguerre import support
 from casid.subspace.poles import COST, PASTS, clear_bandwidth, usable_poles
 from casid.subspace.refinement import information_criteria, refined_system, residual_powers
 from casid.threads import one_thread
-from casid.values import storable
 
 HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at
 REGULARISATIONS = (1e-3, 1e-2)
@@ -42,84 +41,6 @@ LARGEST = 30  # order that is tried unasked
 PATIENCE = 4  # orders in a row that are no better, after which no higher one is tried
 STARTS = 2  # poles and windows refined at every order where nothing is held out
 EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an input
-
-
-Refinement = Literal[
-    "fourier", "unrefined", "linear", "prediction", "simulation", "local simulation"
-]
-
-
-@storable
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """One choice of settings and its score, the lower the better."""
-
-    order: int
-    past: int
-    pole: float  # [rad/s], NaN on samples
-    regularisation: float
-    score: float = np.nan
-    error: float = 0.0  # standard error of the mean distance from the best candidate
-    folds: tuple[float, ...] = ()  # scores by record (held out, or all) or stretch
-    refinement: Refinement = "fourier"  # what follows the subspace estimate on samples
-
-    @property
-    def label(self) -> str:
-        """What candidates of other orders share: the pole, or the refinement on samples."""
-        return f"samples, {self.refinement}" if np.isnan(self.pole) else f"a = {self.pole:g} rad/s"
-
-    @classmethod
-    def of(cls, order: int, w: Windows, how: Refinement = "fourier") -> "Candidate":
-        """Settings that have no score yet."""
-        found = cls(order=order, past=w.past, pole=w.pole, regularisation=w.regularisation)
-        return replace(found, refinement=how)
-
-    def scored(self, values: Sequence[float] | Array) -> "Candidate":
-        """The candidate with its scores fold by fold, and their mean."""
-        return replace(self, score=float(np.mean(values)), folds=tuple(map(float, values)))
-
-    @property
-    def windows(self) -> Windows:
-        """What its predictor is regressed with."""
-        return Windows(self.past, self.past, self.pole, self.regularisation)
-
-
-@storable
-@dataclass(frozen=True, eq=False, kw_only=True)
-class OrderSelection:
-    """Which settings the data chose.
-
-    Parameters
-    ----------
-    chosen : Candidate
-        The settings.
-    candidates : tuple of Candidate
-        All that were tried, in that order.
-    criterion : str
-        "held-out records", "AICc" or, with black boxes of samples among the candidates,
-        "held-out stretches": the share of their power that a simulation leaves unexplained.
-    singular_values : (min(future ny, ...),) array
-        Of the predicted future at the chosen pole and past.
-    """
-
-    chosen: Candidate
-    candidates: tuple[Candidate, ...]
-    criterion: str
-    singular_values: Array
-
-    def to_markdown(self) -> str:
-        """The table of candidates, the chosen one marked."""
-        lines = [
-            f"| order | past | from | regularisation | {self.criterion} |",
-            "|---|---|---|---|---|",
-        ]
-        for c in self.candidates:
-            mark = " **chosen**" if c == self.chosen else ""
-            lines.append(
-                f"| {c.order} | {c.past} | {c.label} | {c.regularisation:g} "
-                f"| {c.score:.4f} ± {c.error:.4f}{mark} |"
-            )
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ def first(axes):
     return np.atleast_1d(np.asarray(axes, dtype=object)).ravel()[0]
 
 
-TABLES = ("ModeBand", "HandlingBand", "Identifiability", "KinematicCheck", "Inspection")
+NAMES = ("Identification", "Multistart", "Distortion", "Log")
+TABLES = (*NAMES, "ModeBand", "HandlingBand", "Identifiability", "KinematicCheck", "Inspection")
 
 
 @pytest.mark.parametrize("name", TABLES)

@@ -8,7 +8,7 @@ from truths.attitudes import response, roll
 
 from casid.baseline.handling import handling_qualities
 from casid.report import plot_handling_qualities, plot_order_selection
-from casid.subspace.settings import Candidate, OrderSelection
+from casid.subspace.candidates import Candidate, OrderSelection
 
 TRIED = tuple(
     Candidate(order=n, past=past, pole=pole, regularisation=0.0, score=abs(n - 5) + pole + past)

@@ -70,3 +70,12 @@ def test_shares_of_an_excitation_are_read_within_its_band():
     assert (row.share, row.least) == (np.median(inside), inside.min())
     assert found.lower[found.omega == row.at, 0] == row.least
     assert found.omega[found.within[:, 0]][[0, -1]].tolist() == [row.low, row.high]
+
+
+def test_stages_starts_amplitudes_and_topics_have_a_row_each():
+    value, fit = values(), values()["Fit"]
+    assert cells(value["Identification"])[1][1] == ["output_error", fit.headline()]
+    first, second = cells(value["Multistart"])[1]
+    assert (first[-1], second) == (f"{fit.cost:.8g}", ["-9", "2", "failed: no way down"])
+    assert cells(value["Distortion"])[1] == [["p", "20 %, noise 2 %"]]
+    assert cells(value["Log"])[1] == [["gyro", "9", "20", "0", "p"]]

@@ -1,12 +1,17 @@
 """One value of every kind that shows itself, small enough for every test."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
 from casid import (
+    Distortion,
     HandlingBand,
+    Identification,
     Model,
+    Multistart,
+    OrderSelection,
     Record,
     Rows,
     Scalar,
@@ -29,8 +34,15 @@ from casid import (
     transfer_function,
     validate,
 )
+from casid.logs.topics import Log, make_topic
+from casid.subspace.candidates import Candidate
 
 DT = 0.05
+ORDERS = tuple(
+    Candidate(order=n, past=20, pole=8.0, regularisation=0.01, score=score, error=0.1)
+    for n, score in ((1, -2.0), (2, -4.5))
+)
+SHARES = np.array([1.0, np.nan, 3.0])[:, None, None]  # what noise explains [%]; ten times not
 
 
 class Roll(Model):
@@ -90,5 +102,15 @@ def values():
         identifiability(Roll(), flown),
         kinematic_check(flown),
         inspect_records(flown),
-    ]
+        Identification(results={"pbsid": box, "output_error": fit}),
+        Multistart(starts=(Roll(), Roll(Lp=-9.0)), costs=np.array([fit.cost, np.nan]),
+                   reasons=("", "no way down"), fit=fit),
+        OrderSelection(chosen=ORDERS[1], candidates=ORDERS, criterion="AICc",
+                       singular_values=np.array([1.0, 0.1])),
+        Distortion(omega=np.array([1.0, 2.0, 4.0]), inputs=("lat",), outputs=("p",),
+                   small=np.array([0.1]), large=np.array([0.3]), noise=SHARES / 100,
+                   distortion=SHARES / 10, excess=np.array([[9.0]])),
+        Log(path=Path("flight.ulg"), kind="PX4 ULog",
+            topics={"gyro": make_topic("gyro", DT * np.arange(9.0), [("p", np.ones(9), "")])}),
+    ]  # fmt: skip
     return {type(each).__name__: each for each in found}
