@@ -211,13 +211,14 @@ def _states(
     e = _centred(stretch.y - y, stretch.weight)
     n = basis.shape[1]
     G = basis.T @ np.hstack([basis, e])
-    P = W.T @ W
     T = modes.mixing(modal.C, modal.real)
-    left = np.einsum("op,oij,ik,pkl->jl", P, T, G[:, :n], T, optimize=True)
-    right = np.einsum("op,oij,ip->j", P, T, G[:, n:], optimize=True)
+    whitened = np.tensordot(W, T, 1)
+    across = whitened.swapaxes(1, 2)
+    left = (across @ G[:, :n] @ whitened).sum(axis=0)
+    right = (across @ (W @ G[:, n:].T)[:, :, None]).sum(axis=0)[:, 0]
     small = 1e-13 * np.trace(left) / n * np.eye(n)
     x0 = np.linalg.solve(left + small, right)
-    seen = np.stack([basis @ each @ x0 for each in T], axis=1)
+    seen = basis @ (T @ x0).T
     return forced + decay * modes.to_complex(modal, x0, 1)[:, 0], decay, e - seen
 
 

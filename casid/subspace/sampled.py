@@ -166,14 +166,14 @@ def _learnt(campaign: Campaign, order: int, windows: Windows, how: Refinement) -
 
 def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
     """Errors (N, ny) of a stretch, simulated from the initial state of what is before it."""
-    record, known = fold.shown, fold.known
+    record, known, sy = fold.shown, fold.known, fold.learnt.sy
     if system.dt is None:
         system = discretised(system, record.dt, record.hold)
     u, y = (v - v[:known].mean(axis=0) for v in (record.u, record.y))
     with np.errstate(over="ignore", invalid="ignore"):
-        left = y - _simulated(system, u)
+        left = (y - _simulated(system, u)) / sy  # of all outputs alike, in whatever units
         # What is at right angles to C is no effect of the state.
-        Q, C = np.linalg.qr(system.C)
+        Q, C = np.linalg.qr(system.C / sy[:, None])
         basis = _observability(system.A, C, len(u))
     if not (np.abs(left).max() < HUGE and np.abs(basis).max() < HUGE):
         raise ValueError("an unstable model cannot be simulated so long")
@@ -183,7 +183,7 @@ def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
     parts = np.array_split(rows, -(-len(rows) // BLOCK))
     R, _ = accumulate(parts, constant=False)
     x0 = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=1e-12)[0] / size
-    return np.asarray(left[known:] - basis[known:] @ x0 @ Q.T)
+    return np.asarray(sy * (left[known:] - basis[known:] @ x0 @ Q.T))
 
 
 def _simulated(system: StateSpace, u: Array) -> Array:

@@ -142,9 +142,11 @@ def test_a_stretch_is_simulated_from_the_best_state_of_all_outputs_before_it():
     t = np.arange(len(u), dtype=float)
     free = [system.simulate(t, 0 * u, x0=x) for x in np.eye(2)]
     left = y - system.simulate(t, u)
-    columns = np.stack(free, axis=2)
+    columns, size = np.stack(free, axis=2), fold.learnt.sy  # all outputs count alike
     x0 = np.linalg.lstsq(
-        columns[: fold.known].reshape(-1, 2), left[: fold.known].ravel(), rcond=None
+        (columns[: fold.known] / size[:, None]).reshape(-1, 2),
+        (left[: fold.known] / size).ravel(),
+        rcond=None,
     )[0]
     expected = (left - columns @ x0)[fold.known :]
     np.testing.assert_allclose(_simulation_errors(fold, system), expected, atol=1e-10)
@@ -160,3 +162,18 @@ def test_models_of_many_outputs_are_the_subspace_estimates():
     tried = choose_samples(Campaign.of(many, True), *given, move=True)
     assert {c.refinement for c in tried} == {"unrefined"}
     assert min(tried, key=lambda c: c.score).order == 2
+
+
+@pytest.mark.parametrize("how", ["unrefined", "linear"])
+def test_what_a_candidate_is_worth_does_not_depend_on_units(how):
+    system, record = resonant(300)
+    C = [*system.C, [0.1, 0.4, 0.0, 0.2]]
+    y = StateSpace(system.A, system.B, C, [[0.0], [0.0]], 1.0).simulate(record.t, record.u)
+    y = y + 0.05 * np.std(y, axis=0) * np.random.default_rng(2).standard_normal(y.shape)
+    shares = []
+    for unit in ([1.0, 1.0], [2.0**12, 1.0], [1.0, 2.0**12]):  # of which no digit is lost
+        scaled = Record(record.t, record.u, y * unit, ("u",), ("a", "b"), "", "zoh")
+        judge = Stretches.of(Campaign.of(scaled, True))
+        shares.append(judge.score(4, Windows(10, 10, np.nan, 0.0), how).score)
+    assert shares == pytest.approx([shares[0]] * 3, rel=1e-9)
+    assert shares[0] < 0.1
