@@ -16,6 +16,7 @@ from casid.linear import StateSpace
 
 OSCILLATES = 1e-6  # imaginary part, relative to the modulus, that counts as an oscillation
 SEEN = 1e-8  # smallest singular value of the Hautus matrix, relative, of a mode that is seen
+NORMAL = 1.959964  # standard deviations of a normal number that hold 95 % of it
 CLEAR = 0.6  # share of the states of one kind above which a mode is theirs
 
 # Velocities along body axes, or airspeed with the angles of the flow: a structure has either.
@@ -104,21 +105,25 @@ def may_meet(poles: ComplexArray, imag_std: Array, gap_std: Array, near: float) 
 
 
 def deviations(matrices: Sequence[Array], poles: ComplexArray) -> Array:
-    """Root mean squares of what poles of matrices A are off those (n,) of modes, (4, n).
+    """How far poles of matrices A are off those (n,) of modes, as standard deviations (4, n).
 
-    In `pole_figures`. A pair counts both members, where these have become real too.
+    In `pole_figures`. Roots part by the square root of what is normal, far to one side: root mean
+    squares, or where that is more what `NORMAL` of it must be for 97.5 % of them to be nearer, on
+    either side. A pair counts both members, where these have become real too.
     """
     paired = np.flatnonzero(poles.imag > OSCILLATES * np.abs(poles))
     every = np.concatenate([poles, poles[paired].conj()])
-    square, center = [], pole_figures(poles.real + 1j * np.abs(poles.imag))
+    off, center = [], pole_figures(poles.real + 1j * np.abs(poles.imag))
     center = np.hstack([center, center[:, paired]])
     for drawn in np.linalg.eigvals(np.array(matrices)):
         apart = np.abs(every[:, None] - drawn) ** 2  # by squares real ones keep their order
         moved = drawn[scipy.optimize.linear_sum_assignment(apart)[1]]
-        square.append((pole_figures(moved.real + 1j * np.abs(moved.imag)) - center) ** 2)
-    mean = np.mean(square, axis=0)
-    mean[:, paired] = (mean[:, paired] + mean[:, len(poles) :]) / 2
-    return np.asarray(np.sqrt(mean[:, : len(poles)]))
+        off.append(pole_figures(moved.real + 1j * np.abs(moved.imag)) - center)
+    both = np.array(off)
+    each = np.concatenate([both[:, :, : len(poles)]] * 2)
+    each[len(off) :, :, paired] = both[:, :, len(poles) :]
+    wide = np.abs(np.quantile(each, [0.025, 0.975], axis=0)).max(axis=0) / NORMAL
+    return np.asarray(np.maximum(np.sqrt(np.mean(each**2, axis=0)), wide))
 
 
 def _mode(pole: complex, shares: Mapping[str, float], system: StateSpace) -> Mode:

@@ -123,10 +123,24 @@ def test_poles_that_may_be_a_pair_or_both_real_have_the_scatter_of_their_own_roo
         imag, size = np.abs(own.imag), np.abs(own)
         off = (own.real - band.mode.pole.real, imag - band.mode.pole.imag)
         off += (size - band.mode.frequency, -own.real / size - band.mode.damping)
-        by_hand = [np.sqrt(np.mean(each**2)) for each in off]
+        by_hand = [
+            max(np.sqrt(np.mean(each**2)), np.abs(np.quantile(each, [0.025, 0.975])).max() / 1.96)
+            for each in off
+        ]
         stated = band.real_std, band.imag_std, band.frequency_std, band.damping_std
         np.testing.assert_allclose(stated, by_hand, rtol=0.08)  # of 1000 draws, 3 deviations
         assert f"± {band.imag_std:.2g})j" in band.headline()
+
+
+@pytest.mark.campaign
+def test_errors_of_a_double_pole_hold_it():
+    # Estimates of s² - Lp s - Lphi about two poles at -1, whose errors are known.
+    C = np.array([[0.0016, 0.0], [0.0, 0.01]])
+    held = []
+    for Lp, Lphi in np.random.default_rng(1).multivariate_normal([-2.0, -1.0], C, 150):
+        for band in mode_bands(fitted(Spring(Lp=float(Lp), Lphi=float(Lphi)), C)):
+            held += [abs(band.mode.pole.real + 1) < 1.96 * band.real_std]
+    assert 0.9 < np.mean(held) < 0.98
 
 
 def test_real_poles_that_only_pass_each_other_are_as_known_as_their_parameters():
