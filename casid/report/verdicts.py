@@ -132,8 +132,8 @@ def held_by_bounds(fit: AnyFit) -> Iterator[Caution]:
         count = counted(len(active), "parameter lies", "parameters lie")
         yield Caution(
             f"{count} on a bound: {listed(active, NAMED)}. The data ask for a value beyond it: "
-            "look at the price in the table, then at the bound. Errors and bands take what a bound "
-            "holds for known.",
+            "look at the price in the table, then at the bound. Errors and bands take for granted "
+            "that the truth lies within it.",
             10,
         )
 
