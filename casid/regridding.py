@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray
-from casid.samples import SLOWER, Between, at_instants
+from casid.samples import SLOWER, Between, as_it_is, at_instants
 
 MADE_UP = 0.1  # of a low-pass filter's weight on lost samples: what it gives is lost, too
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
@@ -69,6 +69,7 @@ def _filtered(t: Array, x: Array, instants: Array, between: Between, dt: float) 
     lost = np.isnan(fast)
     fast[lost] = np.interp(even[lost], even[~lost], fast[~lost])
     (smooth,) = smoothed(fast[:, None], dt / own).T
+    smooth = as_it_is(smooth, fast, float(np.abs(fast).max()))  # what rests does so exactly
     # What was put in for lost samples is no measurement, nor what is mostly made of it.
     share = scipy.ndimage.convolve1d(lost.astype(float), np.abs(taps(dt / own)), mode="constant")
     made = np.interp(instants, even, share) > MADE_UP

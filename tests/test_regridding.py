@@ -45,6 +45,16 @@ def test_stamps_that_jitter_cost_slower_sampling_no_instant(N, jitter):
         np.testing.assert_allclose(column[20:-20], np.sin(5 * grid[20:-20]), atol=2e-3)
 
 
+@pytest.mark.parametrize("how", ["zoh", "foh", "smooth"])
+@pytest.mark.parametrize("dt", [0.05, 0.06])
+def test_what_rests_does_so_exactly_once_filtered(how, dt):
+    moves = np.where((T > 4) & (T < 6), np.sin(np.pi * (T - 4)), 0.0)
+    t, y = resampled(T, [(level + moves, how) for level in (0.0, 0.3, 1500.0)], dt)
+    still = (t < 4 - 1.2) | (t > 6 + 1.2)  # the filter reaches 8 of the new intervals
+    np.testing.assert_array_equal(y[still], np.tile([0.0, 0.3, 1500.0], (still.sum(), 1)))
+    assert np.abs(y[~still, 0]).max() > 0.9
+
+
 def test_a_slower_channel_is_measured_as_often_as_it_was():
     rng = np.random.default_rng(4)
     fast = 0.01 * np.arange(400)

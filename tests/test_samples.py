@@ -4,6 +4,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+import scipy
 
 from casid.errors import DataWarning
 from casid.samples import (
@@ -30,6 +31,18 @@ def test_a_spline_follows_a_smooth_signal_and_steps_and_lines_do_what_they_say()
     np.testing.assert_allclose(at_instants(T, 2 * T, at, "foh"), 2 * at, atol=1e-12)
     np.testing.assert_array_equal(at_instants(T, 50 * T, at, "zoh"), [50, 50, 50])
     assert at_instants(T, T, T[[-1]], "zoh") == T[-1]
+
+
+def test_a_spline_rests_where_the_channel_does_and_is_as_it_was_elsewhere():
+    x = 0.3 + np.where((T > 4) & (T < 6), np.sin(np.pi * (T - 4)), 0.0)
+    at = T[:-1] + 0.007
+    free = scipy.interpolate.make_interp_spline(T, x, k=3)(at)
+    found = at_instants(T, x, at, "smooth")
+    still = (at < 3.6) | (at > 6.4)  # a trace is 0.27 times as large a sample on
+    assert (found[still] == 0.3).all()
+    assert (free[still] != 0.3).any()
+    np.testing.assert_allclose(found, free, rtol=0, atol=1.3e-9)
+    np.testing.assert_array_equal(found[(at > 4) & (at < 6)], free[(at > 4) & (at < 6)])
 
 
 def test_what_was_not_measured_is_not_made_up_but_a_rare_channel_is_no_gap():

@@ -1,5 +1,6 @@
 """Command about logs: import."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -7,12 +8,12 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
 from casid.commands.columns import COLUMN, UNIT
 from casid.commands.terminal import caution, exits, new_table
 from casid.consistency.clocks import moves_told
 from casid.display import counted
+from casid.excitations import Excitation
 from casid.logs.drafting import Draft, import_log
 from casid.logs.reading import read_log
 from casid.logs.topics import Log
@@ -113,7 +114,7 @@ def _show(console: Console, draft: Draft) -> None:
     table = new_table("Stretches in which the inputs move", "record", *headings)
     for stretch in draft.stretches:
         record, found = stretch.record, stretch.excitation
-        share = "" if found is None else _shares(found.lower, found.within)
+        share = "" if found is None else _shares(found, inputs)
         moved = [f"{value:.2g}" for value in stretch.moved]
         table.add_row(record.name, f"{record.t[0]:.6g}", f"{record.t[-1]:.6g}", *moved, share)
     console.print(table, "")
@@ -124,9 +125,8 @@ def _show(console: Console, draft: Draft) -> None:
     console.print(Text(f"then  casid identify {study}"), soft_wrap=True)
 
 
-def _shares(lower: Array, within: BoolArray) -> str:
-    """Median share of every input within its band."""
-    shares = (
-        np.median(x[w]) if w.any() else np.nan for x, w in zip(lower.T, within.T, strict=True)
-    )
-    return ", ".join(f"{share:.0%}" for share in shares)
+def _shares(found: Excitation, inputs: Sequence[str]) -> str:
+    """Median share of every input within its band, in their order; "-" of one that rests."""
+    bands = zip(found.inputs, found.lower.T, found.within.T, strict=True)
+    shares = {name: f"{np.median(x[w]):.0%}" for name, x, w in bands if w.any()}
+    return ", ".join(shares.get(name, "-") for name in inputs)

@@ -11,7 +11,7 @@ from casid.display import counted
 from casid.logs.conventions import continuous
 from casid.logs.sources import Source
 from casid.record import FEWEST, MOST, Hold, Record
-from casid.samples import Between, at_instants, jumps, unwrapped
+from casid.samples import Between, as_it_is, at_instants, jumps, unwrapped
 from casid.studies.preparation import with_inputs
 
 FASTEST = 0.01  # s, the shortest interval that is chosen
@@ -28,7 +28,10 @@ COHERENT = 0.8  # correlation above which two topics hold the same
 
 @dataclass(frozen=True, kw_only=True)
 class Lateness:
-    """By how much one topic's column comes after another's that holds the same [s]."""
+    """By how much one topic's column comes after another's that holds the same [s].
+
+    It is what ages that the log states of samples leave: records are freed of those.
+    """
 
     late: str
     than: str
@@ -139,7 +142,8 @@ def _records(
     hold = hold_of(inputs, outputs, dt)
     columns = []
     for channel, source in every.items():
-        own, late = source.topic.t, 0.0 if channel in inputs else source.topic.age
+        own = source.topic.t
+        taken = own if channel in inputs else source.topic.taken
         near = (own >= span[0] - APART) & (own <= span[1] + APART)
         x = source.values[near]
         x = continuous(x) if channel in ("phi", "psi") else x
@@ -149,7 +153,7 @@ def _records(
         elif channel in inputs and hold == "foh" and in_steps(source):
             columns.append(_means(own[near], x, t, step))
         else:
-            columns.append(at_instants(own[near] - late, x, t, how))
+            columns.append(at_instants(taken[near], x, t, how))
     whole = Record(t, np.zeros((len(t), 0)), np.column_stack(columns), (), tuple(every), name, hold)
     if not np.isfinite(whole.y[:, : len(inputs)]).all(axis=1).sum() >= FEWEST:
         return []
@@ -174,8 +178,9 @@ def _means(t: Array, x: Array, instants: Array, width: float) -> Array:
     ends = np.array([t[0] - width, *t, t[-1] + width])
     area = np.append(0.0, np.cumsum(np.append(x[0], x) * np.diff(ends)))
     later, earlier = (np.interp(instants + side * width / 2, ends, area) for side in (1, -1))
-    lost = np.isnan(at_instants(t, x, instants, "zoh"))
-    return np.where(lost, np.nan, (later - earlier) / width)
+    held = at_instants(t, x, instants, "zoh")
+    means = as_it_is((later - earlier) / width, held, float(np.abs(x).max()))
+    return np.where(np.isnan(held), np.nan, means)
 
 
 def _picked(source: Source, instants: Array, dt: float) -> Array:
@@ -190,7 +195,7 @@ def _between(source: Source, t: Array, dt: float) -> BoolArray:
     topic = source.topic
     if topic.interval < SLOWER * dt:
         return np.zeros(len(t), dtype=bool)
-    place = np.round((topic.t - topic.age - t[0]) / dt)
+    place = np.round((topic.taken - t[0]) / dt)
     own = place[(place >= 0) & (place < len(t))].astype(int)
     empty = np.ones(len(t), dtype=bool)
     empty[own] = False
@@ -200,8 +205,8 @@ def _between(source: Source, t: Array, dt: float) -> BoolArray:
 def lateness(taken: Source, other: Source) -> Lateness | None:
     """How late one column is after another that holds the same; None if they are not alike."""
     step = min(taken.topic.interval, other.topic.interval, 0.01)
-    start = max(taken.topic.t[0], other.topic.t[0])
-    end = min(taken.topic.t[-1], other.topic.t[-1])
+    start = max(taken.topic.taken[0], other.topic.taken[0])
+    end = min(taken.topic.taken[-1], other.topic.taken[-1])
     middle, half = (start + end) / 2, min(end - start, LONGEST) / 2
     t = np.arange(middle - half, middle + half, step)
     lags = int(LATE / step)
@@ -222,7 +227,7 @@ def _lines(source: Source, t: Array) -> Array:
     x = source.values
     x = x if (turned := unwrapped(x)) is None else turned
     known = np.isfinite(x)
-    return np.interp(t, source.topic.t[known], x[known]) if known.any() else np.nan * t
+    return np.interp(t, source.topic.taken[known], x[known]) if known.any() else np.nan * t
 
 
 def _steady(x: Array) -> Array:

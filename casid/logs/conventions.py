@@ -112,7 +112,10 @@ def others(log: Log, name: str, taken: Source) -> list[Source]:
 
 
 def derived(log: Log) -> Log:
-    """The log with Euler angles beside its quaternions, and body velocities beside those in NED."""
+    """The log with Euler angles beside its quaternions, and body velocities beside those in NED.
+
+    A velocity is turned by the attitude at the instant it was sampled, not at that of its stamp.
+    """
     topics = {name: _with_angles(topic) for name, topic in log.topics.items()}
     for (name, *velocity), attitude in NED:
         if {name, attitude} <= set(topics) and BODY not in topics:
@@ -123,7 +126,7 @@ def derived(log: Log) -> Log:
             if set(velocity) <= set(topic.columns) and all(angles):
                 speeds = [topic.columns[each] for each in velocity]
                 held = [
-                    at_instants(each.topic.t, continuous(each.values), topic.t, "foh")
+                    at_instants(each.topic.taken, continuous(each.values), topic.taken, "foh")
                     for each in angles
                     if each
                 ]

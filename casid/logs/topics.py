@@ -41,7 +41,7 @@ class Topic:
     name : str
         As the log has it, with the number of the instance: ``"IMU[1]"``.
     t : (N,) array
-        Time stamps on the log's clock [s], increasing.
+        Time stamps on the log's clock [s], increasing; `taken` is when samples were taken.
     columns : mapping of (N,) arrays
         Values; what is no number, or beyond all sensors as in a damaged log, is NaN.
     age : float
@@ -61,6 +61,11 @@ class Topic:
     units: Mapping[str, str] = field(default_factory=dict)
     left_out: int = 0
     repeats: int = 0
+
+    @property
+    def taken(self) -> Array:
+        """When the samples were taken, (N,) [s]: their stamps less their age."""
+        return self.t - self.age
 
     @property
     def interval(self) -> float:

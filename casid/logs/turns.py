@@ -68,8 +68,8 @@ def _gain(angle: Source, rate: Source) -> float | None:
     Turns over a second are compared: noise of an angle hides its derivative.
     """
     step = max(angle.topic.interval, rate.topic.interval)
-    start = max(angle.topic.t[0], rate.topic.t[0])
-    t = np.arange(start, min(angle.topic.t[-1], rate.topic.t[-1]), step)
+    at, own = angle.topic.taken, rate.topic.taken
+    t = np.arange(max(at[0], own[0]), min(at[-1], own[-1]), step)
     n, lags = max(1, round(SPAN / step)), max(1, round(LATE / step))
     if len(t) < n + 8 * lags:
         return None
@@ -88,7 +88,7 @@ def _gain(angle: Source, rate: Source) -> float | None:
 def _known(source: Source, values: Array | None = None) -> tuple[Array, Array]:
     x = source.values if values is None else values
     known = np.isfinite(x)
-    return source.topic.t[known], x[known]
+    return source.topic.taken[known], x[known]
 
 
 def axis_of(column: str) -> str:

@@ -1,8 +1,12 @@
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from truths.logs import dataflash, ulog
 
 from casid.cli import main
+from casid.commands.logs import _shares
 
 
 def run(*arguments):
@@ -53,3 +57,10 @@ def test_what_it_cannot_read_is_bad_input(tmp_path):
     assert "it is no log of PX4" in result.output
     path.write_bytes(ulog(8.0))
     assert run(path, "--column", "p=nothing.here").exit_code == 2
+
+
+def test_inputs_that_rest_have_no_share_and_keep_their_place():
+    within = np.array([[True, False], [True, False], [False, False]])
+    lower = np.array([[0.9, 0.1], [0.7, 0.1], [0.0, 0.1]])
+    found = SimpleNamespace(inputs=("roll", "thrust"), lower=lower, within=within)
+    assert _shares(found, ("yaw", "roll", "thrust")) == "-, 80%, -"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.logs import LATE, RATES, STICKS, flight, ulog
 
-from casid import StateSpace, read_log
+from casid import StateSpace, read_csv, read_log, write_csv
 from casid.logs.assembly import (
     _means,
     _picked,
@@ -80,6 +80,32 @@ def test_topics_that_hold_the_same_tell_their_delay(tmp_path):
     assert found.late == "vehicle_attitude.rollspeed"
     assert found.seconds == pytest.approx(LATE, abs=1e-3)
     assert found.correlation > 0.95
+
+
+def test_ages_that_the_log_states_are_no_delay():
+    t, age = np.arange(0, 30, 0.01), 0.06
+    x, y = (np.sin(1.3 * at) + 0.5 * np.sin(4.1 * at) for at in (t, t - age))
+    stamped_late = source(t + age, x, "late", age=age)
+    assert lateness(source(t, x), stamped_late).seconds == pytest.approx(0, abs=1e-3)
+    assert lateness(source(t, x), source(t, y)).seconds == pytest.approx(age, abs=1e-3)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3, 1500.0])
+@pytest.mark.parametrize("every", [1, 4])
+def test_an_input_rests_exactly_before_and_after_it_moves(level, every, tmp_path):
+    t = 0.005 * np.arange(4000)  # 20 s, of which it moves for two
+    x = level + np.where((t > 9) & (t < 11), np.sin(np.pi * (t - 9)), 0.0)
+    x = x[np.arange(len(t)) // every * every]  # smooth, or held for a while
+    inputs = {"yaw": source(t[::every], x[::every], "in")}
+    outputs = {"r": source(t, np.maximum(x - level, 0.0), "out")}
+    (record,) = assemble(inputs, outputs, 0.02, "flight")
+    for part, rests in (((0.1, 8.5), True), ((11.5, 19.5), True), ((8.5, 11.5), False)):
+        cut = record.cut(*part)
+        assert (np.ptp(cut.channel("yaw")) == 0) == rests
+        assert (np.ptp(cut.channel("r")) == 0) == rests
+        write_csv(path := tmp_path / "x.csv", cut)
+        again = read_csv(path, inputs=("yaw",), outputs=("r",))  # which takes no traces of a signal
+        np.testing.assert_allclose(again.u, cut.u, rtol=1e-9)
 
 
 def test_headings_that_pass_north_are_no_later_than_they_are():

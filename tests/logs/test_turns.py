@@ -33,6 +33,14 @@ def test_an_attitude_is_told_by_its_rate_through_noise_and_delay(unit, late):
     assert gain == pytest.approx(unit, rel=0.05)
 
 
+def test_an_attitude_stamped_late_turns_when_it_was_sampled():
+    age = 0.8  # beyond the delays that are looked for
+    for known, found in ((age, ["phi"]), (0.0, [])):
+        topic = Topic(name="flight", t=T + age, columns={"Roll": PHI}, age=known)
+        log = Log(path=Path("x"), kind="TDMS", topics={"flight": topic})
+        assert [name for name, _, _ in turning(log, topic, rates())] == found
+
+
 def test_turns_over_the_edge_go_on():
     p = 0.5 + P
     phi = PHI + 0.5 * T
