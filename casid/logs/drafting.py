@@ -29,7 +29,7 @@ from casid.logs.conventions import (
 )
 from casid.logs.reading import read_log
 from casid.logs.sources import Source
-from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
+from casid.logs.stretches import SHORTEST, Stretch, find_stretches, left_out, make_stretch
 from casid.logs.topics import Log
 from casid.model import Model
 from casid.outlying import outliers
@@ -93,7 +93,7 @@ class Draft:
         What the log does not state and is taken for granted: units, and what inputs do between
         samples.
     doubts : tuple of str
-        Why no aircraft may be in it, and its outliers.
+        Why no aircraft may be in it, its outliers, and what was flown that stands in no stretch.
     study : Path
         The study file.
     """
@@ -172,6 +172,7 @@ def import_log(
         late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
         _write(study, log, found, model, assumed, moves)
         doubts = _doubts(log, [each.record for each in found], sound, moves)
+        doubts += left_out(records, found)
     return Draft(
         log=log,
         inputs=inputs,
