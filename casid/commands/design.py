@@ -34,11 +34,13 @@ from casid.stages.conditions import flight_conditions
 from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
+from casid.studies.written import told_of_fit
 from casid.textfile import write_text
 from casid.values import digest
 
 SHOWN = 12  # parameters in the table
 DPI = 120
+POOR = "poor"  # the verdict on an output that casts doubt on a design
 SCRIPTS = ("card.lua", "inject.py")  # of ArduPilot, of PX4
 WRITTEN = ("card.csv", *SCRIPTS, "design.md", "design.png", "errors.png")
 
@@ -128,19 +130,20 @@ def design(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
             feedback=_feedback(what, asked["feedback"]), trim=trim, settings=settings,
         )  # fmt: skip
-        _say(console, made, structure)
+        doubts = _doubts(what, model)
+        _say(console, made, structure, doubts)
         folder = what.output / "design"
         for script in SCRIPTS:  # of a former card
             remove_own(folder / script)
         write_text(folder / "card.csv", made.to_csv())
-        write_text(folder / "design.md", _page(made, settings))
+        write_text(folder / "design.md", _page(made, settings, doubts))
         for name, errors in (("design", False), ("errors", True)):
             figure = np.ravel(made.plot(errors=errors))[0].figure
             figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight")
         if channels:
-            write_text(folder / SCRIPTS[0], made.to_ardupilot(channels))
+            write_text(folder / SCRIPTS[0], made.to_ardupilot(channels, doubts=doubts))
         if asked["px4"]:
-            write_text(folder / SCRIPTS[1], made.to_px4(asked["px4"]))
+            write_text(folder / SCRIPTS[1], made.to_px4(asked["px4"], doubts=doubts))
         console.print(Text("Card: ").append(str((folder / "card.csv").resolve()), style="bold"))
 
 
@@ -215,6 +218,24 @@ def _kept(study: Study) -> Any:  # noqa: ANN401 - a fit, or a model without one
     return found
 
 
+def _doubts(study: Study, known: AnyFit | Model) -> tuple[str, ...]:
+    """What the study itself said against the fit that a design is made from; () of a sound one."""
+    if not isinstance(known, Fit):
+        return ()
+    said = [] if known.success else ["its estimation did not converge"]
+    if (told := told_of_fit(study)) is not None:
+        said += [each for each, good in told.headlines.items() if good is False]
+        if poor := [each.output for each in told.verdicts if each.word == POOR]:
+            said.append(f"{', '.join(poor)} of records that it has not seen: predicted poorly")
+    if not said:
+        return ()
+    return (
+        f"the fit that this card was designed from is not sound: {'; '.join(said)}. Responses, "
+        "their limits and standard errors are as wrong as it is: read the report, mend structure "
+        "or data and design again, or fly the card with margins of your own",
+    )
+
+
 def _flown(study: Study) -> list[Record]:
     """What the study identifies from, with the channels of its structure."""
     records = read_records(study)["identification"]
@@ -271,7 +292,7 @@ def _reached(records: Sequence[Record], names: Sequence[str]) -> dict[str, float
     return {n: max(float(np.nanmax(np.abs(r.channel(n)))) for r in records) for n in names}
 
 
-def _say(console: Console, made: Design, structure: Model) -> None:
+def _say(console: Console, made: Design, structure: Model, doubts: Sequence[str]) -> None:
     """What is compared, what is weak and what becomes of it.
 
     Weak is what has a large error beside its value, or its typical size where that is zero. What no
@@ -293,11 +314,11 @@ def _say(console: Console, made: Design, structure: Model) -> None:
     console.print(table)
     if beside := made.on_the_card():
         console.print(Text(beside))
-    for line in (*made.exceeded(), *made.blind):
+    for line in (*doubts, *made.exceeded(), *made.blind):
         caution(console, line)
 
 
-def _page(made: Design, settings: DesignSettings) -> str:
+def _page(made: Design, settings: DesignSettings, doubts: Sequence[str]) -> str:
     close = [f"- {a} and {b}: {c:+.2f}" for a, b, c in made.correlated()]
     blind = ["## Not told apart by this flight", "\n".join(f"- {line}" for line in made.blind)]
     chosen = (
@@ -306,7 +327,8 @@ def _page(made: Design, settings: DesignSettings) -> str:
     )
     overlap = [made.overlap] if len(made.inputs) > 1 else []
     parts = [
-        f"# {made.headline()}", "## What could be flown", made.comparison(),
+        f"# {made.headline()}", *(f"Doubted: {each}." for each in doubts),
+        "## What could be flown", made.comparison(),
         *([chosen] if settings.method == "best" else []),
         *(f"Largest correlation between two sticks of the card: {x:.2g}." for x in overlap),
         "## Standard errors", made.to_markdown(), "## Share of each limit", made.shares(),

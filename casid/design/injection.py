@@ -1,9 +1,10 @@
 """Programs that fly a card on autopilots."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from string import Template
+from textwrap import wrap
 
 import numpy as np
 
@@ -18,6 +19,7 @@ END_UNITS = {"x": 1000, "y": 1000, "z": 500, "r": 1000}  # as much in units; z i
 PERIOD = 0.02  # s between messages of a joystick
 COARSE = 5  # whole µs or units below which rounding, half of one, is said: a tenth of the largest
 OWN = "Written by casid"  # in every script
+WIDE = 100  # characters of a line in the head
 RC = 16  # channels that ArduPilot has
 
 
@@ -49,10 +51,11 @@ def ardupilot_script(
     channels: Mapping[str, tuple[int, float]],
     title: str,
     card: str,
+    doubts: Sequence[str] = (),
 ) -> str:
     """Lua script that adds r (N,) of each input to its RC channel, in µs a unit of the card.
 
-    The text of the card is named by its digest.
+    The text of the card is named by its digest, its ``doubts`` are told in the head.
     """
     dt = float(np.median(np.diff(t)))
     check_channels(r, channels, dt)
@@ -63,7 +66,7 @@ def ardupilot_script(
         rows.append("".join(f"{value + ZERO:03x}" for value in moved))
         furthest.append(f"{{{moved.min()}, {moved.max()}}}")
     return LUA.substitute(
-        title=title, own=OWN, digest=digest(card), step=_step(dt),
+        title=title, own=OWN, digest=digest(card), step=_step(dt), doubts=_head(doubts, "-- "),
         seconds=f"{t[-1]:.4g}", names=", ".join(channels),
         channels=", ".join(str(number) for number, _ in channels.values()),
         furthest=", ".join(furthest), card=",\n".join(f'    "{row}"' for row in rows),
@@ -76,10 +79,12 @@ def px4_script(
     axes: Mapping[str, tuple[str, float]],
     title: str,
     card: str,
+    doubts: Sequence[str] = (),
 ) -> str:
     """Python program that sends a card as joystick: an axis of MANUAL_CONTROL for each input.
 
-    It takes the card of this text only, and is warned of one with samples that it would skip.
+    It takes the card of this text only, and is warned of one with samples that it would skip. The
+    ``doubts`` of the card are told in the head.
     """
     check_axes(r, axes)
     if (dt := float(np.median(np.diff(t)))) < PERIOD - 1e-6:
@@ -92,10 +97,21 @@ def px4_script(
     taken = {axis: (name, float(scale)) for name, (axis, scale) in axes.items()}
     return PYTHON.substitute(
         title=title,
+        doubts="\n" * bool(doubts) + _head(doubts, ""),
         own=OWN,
         digest=digest(card),
         period=f"{PERIOD:g}",
         axes=repr(taken).replace("'", '"'),
+    )
+
+
+def _head(doubts: Sequence[str], mark: str) -> str:
+    """Lines of a comment, nothing of which ends it; "" of none."""
+    plain = (" ".join(each.split()).replace("\\", "/").replace('"', "'") for each in doubts)
+    return "".join(
+        f"{line}\n"
+        for each in plain
+        for line in wrap(f"DOUBTED: {each}", WIDE, initial_indent=mark, subsequent_indent=mark)
     )
 
 

@@ -1,6 +1,6 @@
 """Inputs to fly next: what `design_inputs` answers."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -300,13 +300,17 @@ class Design(Shown):
         rows = (np.column_stack([self.t, self.r]).round(9) + 0.0).tolist()  # no -0
         return csv_text(["t", *self.inputs], rows)
 
-    def to_ardupilot(self, channels: Mapping[str, tuple[int, float]]) -> str:
+    def to_ardupilot(
+        self, channels: Mapping[str, tuple[int, float]], *, doubts: Sequence[str] = ()
+    ) -> str:
         """Lua script that adds the card to the pilot's sticks while a switch is held.
 
         Parameters
         ----------
         channels : mapping
             RC channel of each input and µs a unit of the card, ``{"lat": (1, 500.0)}``.
+        doubts : sequence of str
+            What speaks against the card, told in the script's head.
 
         Raises
         ------
@@ -314,9 +318,10 @@ class Design(Shown):
             Inputs without a channel, channels that there are not, samples that are no whole
             milliseconds apart, scales that move a stick beyond its end, 500 µs.
         """
-        return ardupilot_script(self.t, self._columns(), channels, self.headline(), self.to_csv())
+        told = (self.headline(), self.to_csv(), doubts)
+        return ardupilot_script(self.t, self._columns(), channels, *told)
 
-    def to_px4(self, axes: Mapping[str, tuple[str, float]]) -> str:
+    def to_px4(self, axes: Mapping[str, tuple[str, float]], *, doubts: Sequence[str] = ()) -> str:
         """Python program that sends the card as a joystick does, by MAVLink's MANUAL_CONTROL.
 
         Parameters
@@ -324,13 +329,16 @@ class Design(Shown):
         axes : mapping
             Axis x, y, z or r of each input and its units a unit of the card,
             ``{"lat": ("y", 1000.0)}``.
+        doubts : sequence of str
+            What speaks against the card, told in the program's head.
 
         Raises
         ------
         ValueError
             Inputs without an axis, other axes, scales that move a stick beyond its end, 1000.
         """
-        return px4_script(self.t, self._columns(), axes, self.headline(), self.to_csv())
+        told = (self.headline(), self.to_csv(), doubts)
+        return px4_script(self.t, self._columns(), axes, *told)
 
     def _columns(self) -> dict[str, Array]:
         return dict(zip(self.inputs, self.r.T, strict=True))

@@ -58,6 +58,15 @@ def read_written(study: Study) -> Written | None:
     return found if found is not None and found.files == digests(study) else None
 
 
+def told_of_fit(study: Study) -> Written | None:
+    """What was said as the fit was written that lies there, whatever has changed of it since."""
+    last, file = _store(study).get(NAME, None), study.output / "fit.json"
+    found: Written | None = None if last is None else last.result
+    if found is None or not file.exists() or found.files.get(file.name) != _digest(file):
+        return None
+    return found
+
+
 def keep_written(study: Study, origin: str, written: Written) -> None:
     """Note what a study wrote, and the `origin` it had before it read its records."""
     _store(study).put(NAME, origin, Done(result=written))

@@ -12,10 +12,12 @@ from truths.roll_study import Truth, write_study
 
 from casid import Fit, NonlinearModel, Record, Scalar, output_error, parameter
 from casid.cli import main
-from casid.commands.design import _condition
+from casid.commands.design import _condition, _doubts
+from casid.report.verdicts import Verdict
 from casid.studies.runner import run_study
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
+from casid.studies.written import Written, digests, keep_written, origin
 
 
 def run(*arguments):
@@ -325,6 +327,7 @@ def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_p
     sound = run(study)
     assert sound.exit_code == 0, sound.output
     assert "earlier records" not in sound.stderr
+    assert "is not sound" not in sound.output + sound.stderr
     fit = tmp_path / "out/fit.json"
     text = fit.read_text()
     value = json.loads(text)["model"]["fields"]["Lp"]
@@ -346,6 +349,40 @@ def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_p
     stale = run(study)
     assert stale.exit_code == 0, stale.output
     assert "is of earlier records, settings or casid; run casid identify" in stale.stderr
+
+
+@pytest.mark.parametrize(
+    ("headlines", "theils", "success", "told"),
+    [
+        ({"Roll misses nothing that the records show": True}, (0.02, 0.3), True, ()),
+        ({"Chosen: output error": None}, (), True, ()),
+        ({"Roll misses something": False}, (0.02,), True, ("sound: Roll misses something. ",)),
+        ({}, (0.02, 0.6), True, ("sound: y1 of records that it has not seen: predicted poorly",)),
+        ({}, (), False, ("sound: its estimation did not converge. Responses",)),
+    ],
+)
+def test_a_design_tells_what_its_study_says_against_the_fit(
+    tmp_path, headlines, theils, success, told
+):
+    figures = {"unit": "", "rms": 1.0, "fit": 0.0, "noise": 0.1, "residual": 0.1, "records": ()}
+    judged = [Verdict(output=f"y{k}", theil=x, **figures) for k, x in enumerate(theils)]
+    study, roll = read_study(write_study(tmp_path)), Truth()
+    assert _doubts(study, roll) == ()  # a guess is no fit
+    t = 0.05 * np.arange(100)
+    lat = np.sin(t)[:, None]
+    record = Record(t, lat, roll.system().simulate(t, lat), roll.inputs, roll.outputs)
+    fit = replace(output_error(roll, [record], fixed=("Yv", "Lv", "Lp")), success=success)
+    assert _doubts(study, replace(fit, success=True)) == ()  # nothing was said yet
+    study.output.mkdir()
+    fit.save(study.output / "fit.json")
+    written = Written(timings=(), files=digests(study), verdicts=tuple(judged), headlines=headlines)
+    keep_written(study, origin(study), written)
+    said = _doubts(study, fit)
+    assert len(said) == len(told)
+    for each, words in zip(said, told, strict=True):
+        assert words in each
+    replace(fit, cost=fit.cost + 1.0).save(study.output / "fit.json")  # it was not said of that
+    assert _doubts(study, replace(fit, success=True)) == ()
 
 
 @pytest.mark.second

@@ -1,5 +1,6 @@
 """The scripts that fly a card, run against stand-ins for the autopilots."""
 
+import ast
 import hashlib
 import sys
 from types import ModuleType, SimpleNamespace
@@ -294,3 +295,16 @@ def test_a_card_of_broken_milliseconds_is_refused():
 def test_a_card_with_closer_samples_than_a_joystick_sends_is_said():
     with pytest.warns(DataWarning, match=r"10 ms apart, a joystick sends every 20 ms and skips"):
         px4_script(T / 4, R, {"lat": ("y", 1000.0), "ped": ("r", 1000.0)}, "", CARD)
+
+
+def test_doubts_of_a_card_stand_in_the_heads_of_its_scripts_and_end_no_comment():
+    doubts = ['the fit is not sound: """ quoted \\ and\nlet\nos.exit() in a comment; ' + 60 * "so "]
+    lua = ardupilot_script(T, R, {"lat": (1, 500.0), "ped": (4, 400.0)}, "", CARD, doubts)
+    lupa.lua54.LuaRuntime().execute(AUTOPILOT + lua)
+    head = lua.splitlines()[1]
+    assert head.startswith("-- DOUBTED: the fit is not sound: ''' quoted / and let os.exit()")
+    python = px4_script(T, R, {"lat": ("y", 1000), "ped": ("r", 1800.0)}, "", CARD, doubts)
+    assert "\nDOUBTED: the fit is not sound: '''" in ast.get_docstring(ast.parse(python))
+    plain = px4_script(T, R, {"lat": ("y", 1000), "ped": ("r", 1800.0)}, "", CARD)
+    assert "DOUBTED" not in plain
+    assert "MANUAL_CONTROL: .\n\n    pip" in plain
