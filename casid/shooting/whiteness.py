@@ -73,7 +73,7 @@ def warn_of_innovations(programme: Programme, x: Array) -> None:
     said = [
         _coloured(correlations(residuals), names),
         _together(correlations(residuals, [0])[0], names),
-        _uneven(residuals, [record.name for record in programme.evaluator.layout.records]),
+        _uneven(residuals, names, [record.name for record in programme.evaluator.layout.records]),
     ]
     for each in filter(None, said):
         warn(f"filter error: {each}")
@@ -107,19 +107,27 @@ def _together(found: Array, names: Sequence[str]) -> str:
     )
 
 
-def _uneven(residuals: Sequence[Array], names: Sequence[str]) -> str:
-    """Of records, where one's innovations have many times the variance of another's."""
-    counts = np.array([max(np.sum(r != 0), 1) for r in residuals])
-    sizes = np.array([np.sum(r**2) for r in residuals]) / counts
-    least, most = int(sizes.argmin()), int(sizes.argmax())
-    chance = np.sqrt(2 / counts[[least, most]] * chdtri(1, LEVEL)).sum()  # of a ratio's logarithm
-    if not sizes[most] > max(UNEVEN, np.exp(chance)) * sizes[least]:
+def _uneven(residuals: Sequence[Array], outputs: Sequence[str], records: Sequence[str]) -> str:
+    """Of records, where one's innovations of an output have many times the variance of another's.
+
+    Output by output: gusts move some of them, sensor noise is most of the others.
+    """
+    counts = np.array([np.sum(r != 0, axis=0) for r in residuals])
+    sizes = np.array([np.sum(r**2, axis=0) for r in residuals]) / np.maximum(counts, 1)
+    least = np.where(counts, sizes, np.inf).argmin(axis=0)
+    most, every = sizes.argmax(axis=0), np.arange(len(outputs))
+    wide = np.sqrt(2 / np.maximum(counts, 1) * chdtri(1, LEVEL / len(outputs)))
+    chance = np.exp(wide[least, every] + wide[most, every])  # of a ratio
+    ratio = sizes[most, every] / np.maximum(sizes[least, every], 1e-300)
+    ratio[ratio <= np.maximum(UNEVEN, chance)] = 0.0
+    i = int(ratio.argmax())
+    if not ratio[i]:
         return ""
     return (
-        f"innovations of {names[most]} have {sizes[most] / sizes[least]:.2g} times the variance of "
-        f"those of {names[least]}: its air was rougher, or its sensors noisier, than one process "
-        "noise and one R for all records say. The calm one counts for less than it knows, standard "
-        "errors are too small: estimate together what was flown in like air"
+        f"innovations of {outputs[i]} in {records[most[i]]} have {ratio[i]:.2g} times the variance "
+        f"of those in {records[least[i]]}: its air was rougher, or its sensors noisier, than one "
+        "process noise and one R for all records say. The calm one counts for less than it knows, "
+        "standard errors are too small: estimate together what was flown in like air"
     )
 
 

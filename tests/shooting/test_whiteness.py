@@ -10,7 +10,7 @@ import scipy.signal
 import scipy.stats
 
 from casid import DataWarning, Model, NonlinearModel, Record, Scalar, output_error, parameter
-from casid.shooting.whiteness import LAGS, correlations
+from casid.shooting.whiteness import LAGS, _uneven, correlations
 
 DT, LAG = 0.1, 6.0  # s; of samples and gusts
 
@@ -163,11 +163,27 @@ def test_a_gust_that_lasts_is_told():
 @pytest.mark.second
 def test_a_record_in_rougher_air_is_told_and_chance_is_not():
     with pytest.warns(
-        DataWarning, match=r"innovations of flight 2 have \d+ times .* flight 1: its"
+        DataWarning, match=r"innovations of . in flight 2 have [\d.]+ times .* flight 1: its"
     ):
         output_error(Lags(), [driven(1, 0.3 * TWO), driven(2, 3 * TWO)], process_noise=True)
     output_error(Lags(), [driven(1, TWO, 60), driven(2, 1.2 * TWO, 500)], process_noise=True)
     output_error(Lags(), [driven(1, TWO), driven(2, 1.45 * TWO)], process_noise=True)  # little
+
+
+def test_air_that_one_output_feels_is_told_beside_many_that_do_not():
+    rng, names = np.random.default_rng(3), ("q", "theta", "az")
+    drawn = [
+        [rng.standard_normal((n, 3)) for n in (400, 800)] for _ in range(200)
+    ]  # alike, as whitened
+    assert not any(_uneven(each, names, ("a", "b")) for each in drawn)
+    told = [_uneven([a, b * [1, 1, 0.5]], names, ("a", "b")) for a, b in drawn[:20]]
+    assert all(said.startswith("innovations of az in a have ") for said in told)
+    a, b = drawn[0]
+    b = np.where([True, False, True], b, 0.0)  # theta is missing there
+    assert not _uneven([a, b], names, ("a", "b"))
+    assert "of q in b have 9 times" in _uneven(
+        [np.ones((200, 3)), 3 * np.ones((200, 3))], names, "ab"
+    )
 
 
 class Roll(Model):
