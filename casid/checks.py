@@ -45,6 +45,12 @@ RANGES: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
     "band": ("(lowest, highest) in rad/s, 0 <= lowest < highest", lambda x: 0 <= x[0] < x[1]),
 }
 
+# How an argument of that name is written that is a mapping of several things.
+EXAMPLES: Mapping[str, str] = {
+    "pairs": 'write (output, input): (gain, phase, ...), the columns of every pair, as in {("p", '
+    '"lat"): ("p_lat_dB", "p_lat_deg")}; pairs_of(response) has those that write_frequency writes',
+}
+
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """A function that refuses arguments of another kind or range than it wants, by ValueError."""
@@ -162,7 +168,7 @@ def _check_kinds(owner: str, given: Mapping[str, Any], hints: Mapping[str, Any])
         if name in hints and not fits(value, hints[name]):
             raise ValueError(
                 f"{owner}: {name} = {_short(value)}, expected {words(hints[name])}"
-                f"{_remedy(name, given, hints)}"
+                f"{_example(name, hints[name]) or _remedy(name, given, hints)}"
             )
 
 
@@ -172,6 +178,11 @@ def _check_ranges(owner: str, given: Mapping[str, Any]) -> None:
         numbers, (wanted, holds) = _numbers(given[name]), RANGES[name]
         if numbers is not None and not holds(numbers):
             raise ValueError(f"{owner}: {name} = {_short(given[name])}, expected {wanted}")
+
+
+def _example(name: str, hint: Any) -> str:  # noqa: ANN401 - any annotation
+    """How an argument is written whose kind does not say it."""
+    return f"; {EXAMPLES[name]}" if name in EXAMPLES and get_origin(hint) is Mapping else ""
 
 
 def _remedy(name: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> str:

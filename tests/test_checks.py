@@ -95,6 +95,11 @@ REFUSED = [
     ),
     (lambda: casid.validate({"a": ROLL}, RECORD, horizon=np.nan), "horizon = nan, expected a num"),
     (lambda: casid.validate({"a": ROLL}, RECORD, horizon=-1.0), "horizon = -1.0, expected numbers"),
+    (
+        lambda: casid.read_frequency_csv("x", pairs={("p", "lat"): "p_lat"}),
+        r'write \(output, input\): \(gain, phase, ...\), .*\("p_lat_dB", "p_lat_deg"\)}; pairs_of',
+    ),
+    (lambda: casid.read_frequency_csv("x", pairs=["p_lat"]), r"pairs = \['p_lat'\], .* pairs_of"),
     (lambda: casid.pbsid(RECORD, order=2.5), "order = 2.5, expected a whole number"),
     (lambda: casid.pbsid(RECORD, order=True), "order = True, expected a whole number"),
     (lambda: casid.pbsid(RECORD, regularisation=-1), "regularisation = -1, expected 0 or more"),
