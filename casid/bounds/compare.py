@@ -14,6 +14,7 @@ import numpy as np
 
 from casid.bounds.cases import Case, CaseSpec
 from casid.bounds.prices import CaseResult, price_case
+from casid.bounds.telling import returned, sentences, tell
 from casid.bounds.trials import Data, Fits, spelt_out
 from casid.display import Shown, listed
 from casid.envelope import balance_of, flight_condition
@@ -106,7 +107,10 @@ class BoundsComparison(Shown):
         )
 
     def to_markdown(self) -> str:
-        """The cases, then parameters and relations by price; * marks those held, ± one sigma."""
+        """The cases, then parameters and relations by price; * marks those held, ± one sigma.
+
+        Below stands what the cases' fits warned of.
+        """
         figures = ("cost", "increase", "predicted", "held", "AICc", "LR", "p", "validation")
         heading = ("case", *figures, "eigenvalues [1/s]")
         cases = [_case_cells(case) for case in self.cases]
@@ -122,6 +126,8 @@ class BoundsComparison(Shown):
         ]
         if relations:
             parts.append(markdown_table(["case", "relation", "value", "price"], relations))
+        if said := sentences({case.name: case.warnings for case in self.cases}):
+            parts.append("\n".join(f"- {each}" for each in said))
         return "\n\n".join(parts)
 
 
@@ -162,7 +168,8 @@ def compare_bounds(
     Returns
     -------
     BoundsComparison
-        A case that fails is a row with its reason.
+        A case that fails is a row with its reason. What the cases' fits warned of is told, once
+        each.
 
     Raises
     ------
@@ -173,6 +180,7 @@ def compare_bounds(
     read = fits.cases(cases)
     jobs = _jobs(read, fits, start)
     done = _from_each_other(read, fits, fits.run(jobs))
+    tell(returned({case.name: done[case.name] for case in read}))
     good = {case.name: done[case.name].result for case in read if not done[case.name].reason}
     freest, judged = jobs[0].name, None
     if good and (unseen := several(validation)):
@@ -180,10 +188,11 @@ def compare_bounds(
     base = next(case for case in read if case.name == freest), good.get(freest)
     trim, where = _flown(good, judged, fits.data)
     results = tuple(
-        price_case(case, done[case.name], base, fits.data, judged, trim) for case in read
+        _from_guess(price_case(case, done[case.name], base, fits.data, judged, trim), model)
+        for case in read
     )
     _warn_of_minima(results, read, base[0])
-    _warn_of_narrowness(base, fits.cases({freest: {}})[0])
+    _warn_of_narrowness(base, fits.cases({freest: {}})[0], read)
     return BoundsComparison(
         cases=results,
         freest=freest,
@@ -192,6 +201,12 @@ def compare_bounds(
         validation=judged,
         linearised_at=where,
     )
+
+
+def _from_guess(case: CaseResult, guess: Model) -> CaseResult:
+    """The case with the guess that its bounds refer to, not the start that its fit had."""
+    rows = (replace(row, guess=float(getattr(guess, row.name))) for row in case.parameters)
+    return replace(case, parameters=tuple(rows))
 
 
 def _flown(
@@ -273,15 +288,25 @@ def _warn_of_minima(results: Sequence[CaseResult], cases: Sequence[Case], freest
             )
 
 
-def _warn_of_narrowness(freest: tuple[Case, AnyFit | None], own: Case) -> None:
-    """What all cases hold has no price in any of them: nothing is said of what it costs."""
+def _warn_of_narrowness(
+    freest: tuple[Case, AnyFit | None], own: Case, cases: Sequence[Case]
+) -> None:
+    """What all cases hold has no price in any of them: nothing is said of what it costs.
+
+    Nor is it a price by how much a case differs that does not lie within the freest.
+    """
     case, fit = freest
     held = () if fit is None else [row.name for row in fit.parameters if row.active]
     if common := [name for name in held if case.bounds[name] != own.bounds[name]]:
+        apart = [repr(other.name) for other in cases if not other.within(case)]
+        more = (
+            f"; increases of {listed(apart)}, which {'does' if len(apart) == 1 else 'do'} not lie "
+            "within it, may be negative and are no prices of bounds"
+        ) * bool(apart)
         warn(
             f"increases and prices count from {case.name!r}, the freest case, in which "
             f"{listed(common)} {'is' if len(common) == 1 else 'are'} on bounds narrower than the "
-            "structure's own: add a case without any, free = {}, to see what those cost"
+            f"structure's own: add a case without any, free = {{}}, to see what those cost{more}"
         )
 
 

@@ -8,13 +8,14 @@ rule, is exceeded by chance in a fifth of the comparisons of four, and the best 
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 
 import numpy as np
 import scipy
 
 from casid.arrays import Array
+from casid.bounds.telling import heard, returned, tell
 from casid.bounds.trials import Fits, aicc, run_fits
 from casid.checks import check_known
 from casid.display import Cells, Tabled
@@ -60,6 +61,8 @@ class StructureComparison(Tabled):
         To all records.
     reasons : mapping
         Why fits failed, by candidate and manoeuvre.
+    warnings : mapping
+        What the fits to all records warned of, by candidate.
     """
 
     names: tuple[str, ...]
@@ -71,6 +74,7 @@ class StructureComparison(Tabled):
     aicc: Array
     fits: tuple[AnyFit | None, ...]
     reasons: Mapping[str, str]
+    warnings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def best(self) -> str:
@@ -193,6 +197,22 @@ def compare_structures(
         Too few records, other outputs, a candidate without an estimator; what the estimator
         refuses.
     """
+    with heard() as known:
+        found = compared_quietly(candidates, records, estimator, groups, fixed, bounds, execution)
+    tell(found.warnings, "candidate", known)
+    return found
+
+
+def compared_quietly(
+    candidates: Mapping[str, Model],
+    records: Sequence[Record],
+    estimator: Estimator | Mapping[str, Estimator],
+    groups: Sequence[Collection[str]] | None,
+    fixed: Sequence[str],
+    bounds: Bounds | None,
+    execution: Execution,
+) -> StructureComparison:
+    """`compare_structures` without a word of what the candidates' fits warned of."""
     flown = stretches(records)
     outputs = _checked(candidates, flown)
     parts = _parts(groups, flown)
@@ -237,6 +257,7 @@ def compare_structures(
         aicc=_criteria([None if e[0].reason else e[0].result for e in ends.values()], flown),
         fits=tuple(fits),
         reasons=reasons,
+        warnings=returned({name: every for name, (every, *_) in ends.items()}),
     )
 
 

@@ -33,13 +33,15 @@ class CaseResult:
     fit : Fit or None
         Of a failed case the best iterate, if there is one.
     parameters : tuple of ParameterEstimate
-        One row a parameter; a fixed value has equal bounds and a multiplier as a bound has.
+        One row a parameter; a fixed value has equal bounds and a multiplier as a bound has. Of a
+        comparison ``guess`` is the structure's, which "±20 %" refers to; the fit started elsewhere.
     relations : tuple of ConstraintEstimate
         Ties and inequalities between parameters.
     held : int
         Number of directions in which bounds and relations hold the parameters.
     cost, increase : float
-        Minimum, and by how much it lies above that of the freest case.
+        Minimum, and by how much it lies above that of the freest case; of a case that does not lie
+        within that one it may be negative.
     predicted : float
         The increase that the multipliers predict: ½ Σ (μ + μ₀)(λ - λ₀) over bounds and relations,
         index 0 being the freest case. It is exact where the cost is quadratic.
@@ -63,6 +65,8 @@ class CaseResult:
         `BoundsComparison.linearised_at` says.
     start : str
         Case whose fit it started from.
+    warnings : tuple of str
+        What its fit warned of.
     """
 
     name: str
@@ -83,6 +87,7 @@ class CaseResult:
     rms: float = np.nan
     eigenvalues: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     start: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def price_case(
@@ -96,14 +101,15 @@ def price_case(
     """The result of a case, measured against the freest and its fit; eigenvalues at a trim."""
     fit: AnyFit | None = done.result
     if fit is None or done.reason:
-        return CaseResult(name=case.name, reason=done.reason, fit=fit, start=done.source)
+        said: Any = {"start": done.source, "warnings": done.warnings}
+        return CaseResult(name=case.name, reason=done.reason, fit=fit, **said)
     rows = zip(_own(fit, case)[1], case.relations, strict=True)
     linear = linear_fit(fit, trim).model if trim else fit.model
     found = CaseResult(
         name=case.name, fit=fit, parameters=_parameters(fit, case),
         relations=tuple(row for row, relation in rows if len(relation.names) > 1), held=fit.held,
         cost=fit.cost, aicc=aicc(fit, data), rms=relative_rms(validation, case.name),
-        eigenvalues=linear.system().poles(), start=done.source,
+        eigenvalues=linear.system().poles(), start=done.source, warnings=done.warnings,
     )  # fmt: skip
     freest, free = base
     if free is None:

@@ -16,6 +16,7 @@ import scipy
 from casid.arrays import Array
 from casid.bounds.cases import Case
 from casid.bounds.robust import weights
+from casid.bounds.telling import tell
 from casid.bounds.trials import Data, Fits
 from casid.checks import check_level
 from casid.display import Shown, counted
@@ -147,6 +148,7 @@ def profile_parameters(
     guess = start.model if isinstance(start, Fit) else start
     done = many.run([first, *(many.job(case, guess, after=[first]) for case in held)])
     whole = done.pop(FREE)
+    tell({FREE: whole.warnings})  # of the points it is what holding them there makes of the fit
     if whole.reason:
         raise ConvergenceError(f"profile_parameters: nothing held: {whole.reason}", whole.result)
     found = [done[label] for label in labels]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, DerividNotes
+from casid.bounds.telling import tell
 from casid.bounds.trials import Data, Fits, aicc
 from casid.checks import check_known, checked_fields
 from casid.display import Cells, Tabled
@@ -179,7 +180,8 @@ def reduce_structure(
         jobs = [many.job(case, near) for case in many.cases(specs)]
         return list(many.run(jobs).values())
 
-    full = _whole(*fits([{}], start))
+    (whole,) = fits([{}], start)
+    full, told = _whole(whole), {"whole": whole.warnings}
     criterion = rule.criterion or ("cost" if full.R is None else "aicc")
     limit = full.cost + rule.rise * abs(full.cost)
     fit, held, passed, steps = full, dict[str, float](), set(rule.protect), list[Step]()
@@ -194,10 +196,12 @@ def reduce_structure(
         steps.append(_step(fit, row, trial[row.name], done, many.data, accepted=accepted))
         if accepted:
             fit, held = done.result, trial
+            told["reduced"] = done.warnings
         elif done.reason:
             passed.add(row.name)
         else:
             break
+    tell(told, of="structure")
     return Reduction(full=full, fit=fit, steps=tuple(steps), criterion=criterion)
 
 
@@ -216,6 +220,7 @@ def accuracy_figures(fit: AnyFit, row: ParameterEstimate) -> tuple[float, float]
 def _whole(done: Done) -> AnyFit:
     """The fit of the whole structure, if it can be reduced."""
     if done.reason:
+        tell({"whole": done.warnings})
         raise ConvergenceError(f"reduce_structure: nothing held: {done.reason}", done.result)
     fit: AnyFit = done.result
     if all(np.isnan(row.std_error) for row in fit.parameters if not row.fixed):

@@ -11,6 +11,7 @@ import scipy
 from casid.arrays import Array
 from casid.bounds.draws import BlockDraw, KnownInitial, NoiseDraw
 from casid.bounds.leverage import leverages
+from casid.bounds.telling import heard, tell_of_draws
 from casid.bounds.trials import Draw, Fits
 from casid.checks import check_known, check_level
 from casid.display import Shown, counted, listed
@@ -218,7 +219,8 @@ def bootstrap(
     _check_runs(runs, estimator)
     if not block > 0:
         raise ValueError(f"block={block}: expected seconds above 0, longer than the correlation")
-    flown = stretches(records)
+    with heard() as told:
+        flown = stretches(records)
     if (most := max((each.N * each.dt for each in flown), default=np.inf) / 3) < block:
         raise ValueError(
             f"block={block}: expected {most:.3g} s at most, a third of the longest record; of "
@@ -246,7 +248,7 @@ def bootstrap(
         BlockDraw(residuals, block, (seed, run), initial, taken) for run in range(runs)
     ]
     many = Fits(model, simulated, estimator, held, own | dict(bounds or {}), execution)
-    return _ensemble(many, draws, fit, again)
+    return _ensemble(many, draws, fit, again, told)
 
 
 def _flying(fit: AnyFit, records: int, state_biases: tuple[str, ...]) -> tuple[Model, Array]:
@@ -364,6 +366,7 @@ def _ensemble(
     draws: Sequence[Draw],
     start: AnyFit | None,
     estimators: Sequence[Estimator | None] = (),
+    known: Sequence[str] = (),
 ) -> Ensemble:
     """Fits to all draws, in order, each by an estimator of its own if given."""
     (case,) = many.cases({"draw": {}})
@@ -372,6 +375,7 @@ def _ensemble(
         for k, (draw, own) in enumerate(zip_longest(draws, estimators))
     ]
     done = list(many.run(jobs).values())
+    tell_of_draws([each.warnings for each in done], known)
     names = free_parameters(many.model, many.fixed, many.bounds).names
 
     def column(attribute: str) -> Array:

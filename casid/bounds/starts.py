@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
+from casid.bounds.telling import tell
 from casid.bounds.trials import Data, Fits
 from casid.display import Cells, Tabled, counted
 from casid.errors import ConvergenceError
@@ -116,12 +117,14 @@ def multistart(
     jobs = [many.job(case, each, name=f"start {k}") for k, each in enumerate(models)]
     done = many.run(jobs)
     found = list(done.values())
-    good: list[AnyFit] = [each.result for each in found if not each.reason]
+    good = [each for each in found if not each.reason]
+    best = min(good, key=lambda each: float(each.result.cost), default=found[0])
+    tell({"best": best.warnings})
     if not good:
         raise ConvergenceError(f"multistart: none of {starts} starts converged: {found[0].reason}")
     return Multistart(
         starts=tuple(models),
         costs=np.array([np.nan if each.reason else each.result.cost for each in found]),
         reasons=tuple(each.reason for each in found),
-        fit=min(good, key=lambda fit: fit.cost),
+        fit=best.result,
     )

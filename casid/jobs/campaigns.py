@@ -249,7 +249,8 @@ def _attempt(
             result, reason = error.result, str(error)
         except Exception as error:  # noqa: BLE001 - the reason stands in the table
             reason = f"{type(error).__name__}: {error}"
-    said = tuple(dict.fromkeys(str(each.message) for each in caught))
+    told = (each.message for each in caught if issubclass(each.category, DataWarning))
+    said = tuple(dict.fromkeys(map(str, told)))
     seconds = time.perf_counter() - begin
     result = encode(result)
     return Done(result=result, reason=reason, seconds=seconds, warnings=said, source=source)

@@ -10,9 +10,9 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.manoeuvres import FEWEST, StructureComparison, compare_structures
+from casid.bounds.manoeuvres import FEWEST, StructureComparison, compared_quietly
 from casid.checks import checked_fields
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, warn
 from casid.fit import AnyFit, Fit
 from casid.frequency.estimation import SpectralAnalysis
 from casid.matching.match import Match
@@ -244,7 +244,7 @@ def compared(settings: Choosing, task: Task) -> StructureComparison:
     """The candidates' predictions of short manoeuvres left out, and their estimates from all."""
     (records, short), steps = _records(task), last_steps(settings, task)
     start = task.results["quadratic"].model
-    return compare_structures(
+    return compared_quietly(
         dict.fromkeys(steps, start),
         records,
         estimator=steps,
@@ -256,7 +256,11 @@ def compared(settings: Choosing, task: Task) -> StructureComparison:
 
 
 def _run(settings: Choosing, task: Task) -> StepChoice:
-    return chosen(compared(settings, task))
+    compared_all = compared(settings, task)
+    found = chosen(compared_all)
+    for said in compared_all.warnings.get(found.chosen, ()):  # others are no concern of the user's
+        warn(said)
+    return found
 
 
 def chosen(found: StructureComparison) -> StepChoice:

@@ -13,6 +13,7 @@ from importlib import import_module
 from logging.handlers import BufferingHandler
 from typing import Any, TypeAlias, TypeVar
 
+from casid.bounds.telling import kind
 from casid.errors import ConvergenceError, DataWarning, warn
 from casid.fit import Fit
 from casid.jobs.beside import beside
@@ -85,7 +86,7 @@ class Keeper:
         if kept is None:
             return self._computed(stage, settings, task, key)
         self._drop_best(stage)
-        self.warnings += kept.warnings
+        self.warnings += self._news(kept)
         self._note(stage.name, kept.seconds, kept.result, kept=True)
         return kept.result
 
@@ -116,7 +117,7 @@ class Keeper:
             done = self._done(stage, settings, task)
         except ConvergenceError as error:
             raise self._with_best(stage, error) from error
-        self.warnings += done.warnings
+        self.warnings += self._news(done)
         self._store.put(stage.name, key, done)
         self._drop_best(stage)
         self._note(stage.name, done.seconds, done.result)
@@ -162,17 +163,28 @@ class Keeper:
 
         if stage.command == self._command:
             ready = replace(task, execution=Execution(folder=folder, progress=progress))
-            return self.timed(stage.name, lambda: stage.run(settings, ready))
+            return self.timed(stage.name, lambda: self._heard(stage, settings, ready))
         if not folder.exists():
             raise LeftOutError
         ready = replace(task, execution=Execution(folder=folder, executor=_Idle()))
         try:
-            return stage.run(settings, ready)
+            return self._heard(stage, settings, ready)
         except LeftOutError:
             said = STALE.format(does=stage.does, command=stage.command)
             LOG.warning(said)
             self.warnings.append(said)
             raise
+
+    def _heard(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401
+        """What a stage of other commands finds; what it warns of is for the report."""
+        done = _made(stage, settings, task)
+        self.warnings += self._news(done)
+        return done.result
+
+    def _news(self, done: Done) -> list[str]:
+        """What of a stage's warnings no stage before has told, if with other figures."""
+        before = {kind(said) for said in self.warnings}
+        return [said for said in done.warnings if not any(each in kind(said) for each in before)]
 
     def _note(self, name: str, seconds: float, result: object, *, kept: bool = False) -> None:
         timing = Timing(stage=name, seconds=seconds, kept=kept)

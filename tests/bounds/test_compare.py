@@ -354,6 +354,28 @@ def test_what_all_cases_hold_is_said_to_have_no_price(recwarn):
     of(wide={"a": "< 50"}, bound={"a": "< -2"})  # the structure's own bound holds nothing
     with pytest.warns(DataWarning, match="count from 'bound'.*in which a is on bounds narrower"):
         of(bound={"a": "< -2"}, narrow={"a": "< -3"})
+    with pytest.warns(DataWarning, match="increases of 'other', which does not lie within it, may"):
+        found = of(bound={"a": "< -3"}, other={"b": "< 60", "a": "< -2"})
+    assert found["other"].increase < 0  # the wider in a is not within "bound"
+
+
+@pytest.mark.second
+def test_the_guess_is_what_cases_refer_to_wherever_their_fits_start(tmp_path):
+    model = Mixture(a=-2.0)
+    cases = {"free": {}, "near": {"a": "±20 %"}, "held": {"a": "fixed"}}
+    start = Mixture(a=1.0, b=0.7, d=0.0)
+    found = compare_bounds(
+        model, [record()], cases=cases, start=start, execution=HERE, estimator=OutputError()
+    )
+    found.to_csv(tmp_path / "bounds.csv")
+    with (tmp_path / "bounds.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["kind"] == "parameter"]
+    assert {(row["name"], float(row["guess"])) for row in rows} == {
+        ("a", -2.0), ("b", model.b), ("d", model.d)
+    }  # fmt: skip
+    (near,) = (row for row in rows if (row["case"], row["name"]) == ("near", "a"))
+    limits = [float(near[key]) for key in ("lower", "upper")]
+    assert limits == pytest.approx([-2.4, -1.6])
 
 
 class Folded(Model):

@@ -9,6 +9,7 @@ from truths.closed_roll import TRUTH, campaign, off
 
 from casid import (
     ConvergenceError,
+    DataWarning,
     Match,
     OutputError,
     Pbsid,
@@ -98,6 +99,15 @@ def test_the_one_with_the_smallest_errors_is_chosen_the_first_of_equals():
     assert "b equal within errors (+0.0 ± 0.1 %)" in alike.headline()  # no errors of nothing
     with pytest.raises(ConvergenceError, match="no last step could be estimated: no"):
         chosen(comparison([[np.nan] * 3] * 2))
+
+
+def test_of_the_steps_the_chosen_one_tells_its_doubts(monkeypatch, recwarn):
+    found = comparison([[0.3, 0.3, 0.2], [0.0, 0.1, 0.0], [np.nan] * 3])
+    found = replace(found, warnings={"a": ("a loses",), "b": ("a prior is off",)})
+    monkeypatch.setattr("casid.stages.choice.compared", lambda *_: found)
+    with pytest.warns(DataWarning, match="^a prior is off$"):
+        assert CHOICE.run(Choosing(), task()).chosen == "b"
+    assert not recwarn
 
 
 @pytest.mark.slow

@@ -175,6 +175,19 @@ def test_what_any_stage_warns_of_is_for_the_report(tmp_path, kept):
     assert keeper.warnings == ["the second has doubts"]
 
 
+def _others(*_):
+    for said in ("case 'a': the second has doubts", "case 'a': off by 3 of 4", "new by 2"):
+        warnings.warn(said, DataWarning, stacklevel=1)
+
+
+def test_what_a_study_has_told_its_comparison_does_not_tell_again(tmp_path):
+    study = read_study(write_study(tmp_path))
+    keeper = Keeper(study, Lines(), [], fresh=False, command="bounds")
+    keeper.warnings = ["the second has doubts", "off by 7 of 9"]
+    keeper(Stage(name="x", does="", run=_others, command="bounds"), None, study.task({}, {}))
+    assert keeper.warnings[2:] == ["new by 2"]
+
+
 @pytest.mark.parametrize("part", ["source_digest", "structure_digest", "equations_digest"])
 def test_a_result_rests_on_code_libraries_model_file_and_equations(
     tmp_path, monkeypatch, caplog, part
