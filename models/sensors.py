@@ -1,4 +1,4 @@
-"""Accelerometers that are not at the centre of gravity, for any structure with ax, ay or az.
+"""Accelerometers that are not at the centre of gravity, for any linear structure with ax, ay, az.
 
 A mixin, to stand before the structure:
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.baseline.accuracy import DerividNotes, PairCost, accuracy, accuracy_row
-from casid.baseline.pairs import Pairs, missing_channels, select, thin
+from casid.baseline.pairs import Pairs, left_out, missing_channels, select, thin
 from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
 from casid.declaration import check_priors
+from casid.display import listed
 from casid.errors import ConvergenceError, warn
 from casid.estimates import (
     at_bounds,
@@ -128,6 +129,17 @@ class Derivid:
             active = np.array([fit.parameters[i].active for i in free.index], dtype=bool)
             if said := misfit(found, active, problem.comparison, [measured]):
                 warn(f"derivid: {said}; std_error {GROWN}")
+        if lost := [row.name for row in fit.parameters if np.isinf(row.cramer_rao)]:
+            beside = listed(
+                [f"{o} by {i}" for o, i in left_out(measured, problem.comparison, model)]
+            )
+            warn(
+                f"derivid: the pairs that are fitted do not determine {listed(lost)} one by one: "
+                "their errors are infinite, their values where the search ended; fix or tie some "
+                "of them, or add responses that tell them apart"
+                + f" (measured, but with too little coherence: {beside})"
+                * bool(beside)
+            )
         return fit
 
     def _at_conditions(

@@ -74,6 +74,13 @@ def missing_channels(model: Model, frf: FrequencyResponse) -> str:
     return "; ".join([*said, "rename channels, or leave them out of the model"]) if said else ""
 
 
+def left_out(frf: FrequencyResponse, comparison: Comparison, model: Model) -> list[Pair]:
+    """Pairs of the model that were measured, but of which no point is fitted."""
+    measured = np.isfinite(in_channels(model, frf.outputs, frf.inputs, frf.G)).any(axis=0)
+    unused = measured & ~(comparison.W > 0).any(axis=0)
+    return [(model.outputs[i], model.inputs[j]) for i, j in np.argwhere(unused)]
+
+
 def _named(model: Model, frf: FrequencyResponse, pairs: Pairs, known: BoolArray) -> BoolArray:
     """Where the caller's pairs are in their ranges."""
     chosen = np.zeros(known.shape, dtype=bool)

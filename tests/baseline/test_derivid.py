@@ -503,3 +503,34 @@ def test_what_a_bound_leaves_open_is_what_is_known_without_it_but_for_one_side()
         if name != "Lp":
             assert fit[name].std_error == pytest.approx(std, rel=0.1)
     assert fit.covariance[k, k] == pytest.approx(0.680 * P[k, k], rel=0.2)
+
+
+class Coupled(Model):
+    """Two rates that sticks drive across."""
+
+    states, inputs, outputs = ("p", "q"), ("a", "b"), ("p", "q")
+
+    Lp: float = parameter(default=-2.0, lower=-9, upper=0, unit="1/s")
+    Lq: float = parameter(default=0.5, lower=-9, upper=9, unit="1/s")
+    Mp: float = parameter(default=-0.7, lower=-9, upper=9, unit="1/s")
+    Mq: float = parameter(default=-1.0, lower=-9, upper=0, unit="1/s")
+    La: float = parameter(default=5.0, lower=0, upper=20, unit="1/s^2")
+    Mb: float = parameter(default=3.0, lower=0, upper=20, unit="1/s^2")
+
+    def A(self):
+        return [[self.Lp, self.Lq], [self.Mp, self.Mq]]
+
+    def B(self):
+        return [[self.La, 0], [0, self.Mb]]
+
+
+def test_what_the_pairs_that_are_left_do_not_determine_is_named_with_those_left_out():
+    # On the diagonal stands (s - Mq) La / (s² - (Lp + Mq) s + Lp Mq - Lq Mp): Lq Mp as a product.
+    whole = response(Coupled(), error=0.02, rng=np.random.default_rng(0))
+    coherence = np.where(np.eye(2) > 0, 0.95, 0.2) * np.ones_like(whole.coherence)
+    said = r"do not determine Lq, Mp one by one.*: p by b, q by a\)"
+    with pytest.warns(DataWarning, match=said):
+        fit = derivid(Coupled(), dataclasses.replace(whole, coherence=coherence), starts=1)
+    assert np.isinf([fit["Lq"].std_error, fit["Mp"].std_error]).all()
+    assert fit["Lp"].std_error < 1
+    derivid(Coupled(), whole, starts=1)  # without a word

@@ -7,7 +7,7 @@ import pytest
 from truths.structures import TRUTH, HoverRoll
 
 from casid import FrequencyResponse
-from casid.baseline.pairs import missing_channels, select, thin
+from casid.baseline.pairs import left_out, missing_channels, select, thin
 from casid.matching.mismatch import weighted_errors
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
@@ -112,3 +112,11 @@ def test_points_without_coherence_do_not_count_in_the_mean_either():
     np.testing.assert_allclose(costs[0], costs[1])
     with pytest.raises(ValueError, match="lat"):
         select(TRUTH, dataclasses.replace(whole, coherence=0 * gone), pair)
+
+
+def test_measured_pairs_without_a_fitted_point_are_named():
+    frf, low = measured(), np.full((20, 2, 1), 0.9)
+    low[4:, 0] = 0.3
+    frf = dataclasses.replace(frf, coherence=low)
+    assert left_out(frf, select(HoverRoll(), frf), HoverRoll()) == [(TRUTH.outputs[0], "lat")]
+    assert left_out(measured(), select(HoverRoll(), measured()), HoverRoll()) == []
