@@ -10,6 +10,7 @@ from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight, white_noise
 from casid.consistency.rigid import GRAVITY
 from casid.consistency.voting import SIGNIFICANT
+from casid.consistency.walks import walked
 from casid.display import listed
 from casid.record import REST
 from casid.samples import root_mean_square
@@ -101,7 +102,11 @@ def unexplained(
             continue
         powers = np.array(
             [
-                (white_noise(e) ** 2, np.mean(e**2), np.var(flight.values[each]))
+                (
+                    white_noise(e) ** 2,
+                    np.mean(e**2) - walked(each, e, flight, solution),
+                    np.var(flight.values[each]),
+                )
                 for e, flight in zip(left, flights, strict=True)
             ]
         )
