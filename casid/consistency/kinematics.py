@@ -18,6 +18,7 @@ from casid.consistency.comparisons import ChannelCheck, judged
 from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
 from casid.consistency.further import (
+    ROUGH,
     against_gravity,
     dead_channels,
     misplaced,
@@ -169,11 +170,14 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     labels = {k: flown[k].name for k in which}
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
     notes = _marked(pieces, marks)
-    if _about_zero(flights, "az", 1e-2 * GRAVITY):
+    weightless = _about_zero(flights, "az", 1e-2 * GRAVITY)
+    level = _maybe_level(flights, trim or {}, weightless=weightless)
+    if weightless:
         names -= {*VELOCITIES, *FORCES}
+        roughly = ", attitudes roughly, as about level flight" if level else ""
         notes.append(
             "az has no gravity in it, so the records are perturbations: velocities are not "
-            "checked, attitudes roughly, as about level flight; give the trim, or total values"
+            f"checked{roughly}; give the trim, or total values"
         )
     unfit = {
         name: f"{name} is counted in steps of {step:.3g} rad, too coarse for what it moves"
@@ -193,7 +197,7 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         return KinematicCheck(
             channels=(), residuals={}, notes=tuple(notes), further=further, by_record=why * split
         )
-    found = _reconstructed(flights, names, equations, notes, labels, flown[0].outputs)
+    found = _reconstructed(flights, names, equations, notes, labels, flown[0].outputs, level)
     return replace(found, further=(*dead.values(), *found.further))
 
 
@@ -204,8 +208,12 @@ def _reconstructed(
     notes: Sequence[str],
     labels: Mapping[int, str],
     recorded: Collection[str],
+    level: str,
 ) -> KinematicCheck:
-    """What instruments the equations of these channels ask for, judged."""
+    """What instruments the equations of these channels ask for, judged.
+
+    Roughly where attitudes may be perturbations of those in trim, for what ``level`` says.
+    """
     bare = [each.only(names) for each in flights]
     flights, solution, signs = set_upright(bare, equations, names, labels)
     bare, solution, drifts = without_drifts(flights, equations, solution)
@@ -223,7 +231,6 @@ def _reconstructed(
         name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
         for name in (*solution.channels, *equations)
     }
-    level = _about_zero(flights, "theta", LEVEL)
     rough = {name for name in equations if level or not WHOLE[name] <= names}
     checks = tuple(
         judged(solution, n, spread[n], rough, odd, labels.values(), apart, signs)
@@ -239,7 +246,7 @@ def _reconstructed(
     return KinematicCheck(
         channels=checks,
         residuals=left,
-        notes=(*notes, *untold),
+        notes=(*notes, *untold, *_roughly(checks, rough, names, level)),
         further=(
             *signs.told(recorded),
             *against_gravity(flights, names),
@@ -293,6 +300,37 @@ def _unchecked(names: set[str], pieces: Sequence[Record], unfit: Mapping[str, st
         why = ", ".join(map(absence, lacking))
         notes.append(f"specific forces were checked against gravity in trim only: {why}")
     return notes
+
+
+def _maybe_level(flights: Sequence[Flight], trim: Mapping[str, float], *, weightless: bool) -> str:
+    """Why attitudes may be perturbations, of a trim that nobody knows; empty if they are not."""
+    if "theta" in trim:
+        return ""
+    if weightless:
+        return "az has no gravity in it"
+    weighed = all("az" in flight.values for flight in flights) and "az" not in trim
+    if weighed or not _about_zero(flights, "theta", LEVEL):
+        return ""
+    return (
+        "theta is about zero, and no az with gravity tells whether attitudes are total values: "
+        "give the trim of theta, 0 where it is total"
+    )
+
+
+def _roughly(
+    checks: Sequence[ChannelCheck], rough: set[str], names: set[str], level: str
+) -> list[str]:
+    """Notes on scales that are told only if they are large, and why."""
+    found: dict[str, list[str]] = {}
+    for each in checks:
+        if each.determined and rough & {*each.against}:
+            lacking = set[str]().union(*(WHOLE[name] for name in each.against)) - names
+            absent = f"there is no {listed(sorted(lacking))}" if lacking else ""
+            found.setdefault(level or absent, []).append(each.channel)
+    return [
+        f"a scale of {listed(channels)} is told from {ROUGH:.0%} on only: {why}"
+        for why, channels in found.items()
+    ]
 
 
 def _about_zero(flights: Sequence[Flight], name: str, size: float) -> bool:

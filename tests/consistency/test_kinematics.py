@@ -8,6 +8,7 @@ import pytest
 import scipy
 from truths import bodies
 from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores, truth
+from truths.hovering import hover
 from truths.places import EXAMPLES
 from truths.roll_study import write_study
 
@@ -302,6 +303,8 @@ def test_an_equation_that_lacks_a_channel_says_less():
     )
     assert [said[:7] for said in told] == ["p is 1."]
     assert untold == ()
+    (note,) = kinematic_check(flight(0, error, NOISE, ("p", "phi"))).notes
+    assert note == "a scale of p is told from 10% on only: there is no q, r, theta"
 
 
 @pytest.mark.campaign
@@ -321,6 +324,50 @@ def test_perturbations_are_recognised_by_the_gravity_they_lack(noisy):
     assert check.consistent
     whole = kinematic_check(bare, trim=noisy[0].detrend("first").trim)
     assert not any("perturbations" in note for note in whole.notes)
+
+
+def turning(outputs, scale=1.06):
+    """A hover about zero pitch whose gyros all read so many times what turns it."""
+    record = hover(2, 0.01, duration=30.0).select(outputs=outputs)
+    for name in RATES:
+        record = times(record, name, scale)
+    return record
+
+
+GYROS = (*ATTITUDES, "psi")
+
+
+@pytest.mark.second
+def test_gravity_in_az_tells_that_attitudes_about_zero_are_total_values():
+    check = kinematic_check(turning((*GYROS, "az")))
+    for each, (said,) in zip(check.channels, [c.remarks for c in check.channels], strict=True):
+        assert re.match(rf"{each.channel} is 1\.0\d+ ± \S+ times what {each.against[0]} im", said)
+        assert abs(each.scale - 0.06) < 4 * each.scale_error < 0.012
+    assert not any("10%" in note for note in check.notes)
+    assert kinematic_check(turning((*GYROS, "az"), 1.0)).remarks == ()
+
+
+@pytest.mark.second
+def test_attitudes_about_zero_that_may_be_perturbations_are_checked_roughly_and_that_is_said():
+    check = kinematic_check(turning(GYROS))
+    assert check.remarks == ()
+    (note,) = check.notes
+    assert note.startswith("a scale of p, q, r is told from 10% on only: theta is about zero")
+    assert "p is 1.1" in " ".join(kinematic_check(turning(GYROS, 1.15)).remarks)
+    stated = kinematic_check(turning(GYROS), trim={"theta": 0.0})
+    assert "p is 1.06" in " ".join(stated.remarks)
+    assert stated.notes == ()
+
+
+@pytest.mark.second
+def test_attitudes_beside_an_az_without_gravity_are_checked_roughly():
+    record = turning((*GYROS, "az"))
+    bare = replace(record, y=record.y + 9.80665 * (np.array(record.outputs) == "az"))
+    check = kinematic_check(bare)
+    assert check.remarks == ()
+    first, *_, last = check.notes
+    assert "attitudes roughly" in first
+    assert last == "a scale of p, q, r is told from 10% on only: az has no gravity in it"
 
 
 def test_a_channel_that_hardly_moves_is_not_judged(noisy):
