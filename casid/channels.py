@@ -41,7 +41,8 @@ def misnamed(channel: str, unit: str) -> str:
     """Why a unit is odd for a channel of that name; empty where it is not."""
     si = next(si for si, row in MEASURES.items() if unit in row)
     if channel in CONTROLS:
-        odd, usual = si == "s" and unit not in PULSES, "a share of its travel, an angle or pulses"
+        odd = (si == "s" and unit not in PULSES) or si == "m"  # inches: guesses are per travel
+        usual = "a share of its travel (a factor in [channels.columns]), an angle or pulses"
     else:
         odd, usual = UNITS.get(channel, si) != si, UNITS.get(channel, si)
     return f"{channel} is said to be in {unit}, where {usual} is usual" if odd else ""

@@ -80,5 +80,6 @@ def main() -> None:
     and the options of each stage; paths in it are relative to the file.
 
     \b
-    Exit codes: 0 success, 1 internal error, 2 bad input, 3 a solver did not converge.
+    Exit codes: 0 success, 1 internal error, 2 bad input, 3 a solver did not converge,
+    130 interrupted.
     """  # noqa: D301 - click's own mark for a paragraph left as it is

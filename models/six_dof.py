@@ -17,7 +17,10 @@ from casid import Model, Rows, Scalar, parameter
 
 
 class SixDof(Model):
-    """Rigid-body derivatives of a helicopter; moment derivatives are over the inertias."""
+    """Rigid-body derivatives of a helicopter.
+
+    Those of moments are over the inertias, L and N the primed ones: with Ixz included.
+    """
 
     states = ("u", "v", "w", "p", "q", "r", "phi", "theta")
     inputs = ("col", "lat", "lon", "ped")

@@ -46,3 +46,4 @@ def test_units_that_a_channel_of_that_name_hardly_has_are_told():
         assert not misnamed(channel, unit)
     assert misnamed("p", "kt") == "p is said to be in kt, where rad/s is usual"
     assert "lat is said to be in ms" in misnamed("lat", "ms")
+    assert "lat is said to be in in, where a share of its travel (a fac" in misnamed("lat", "in")

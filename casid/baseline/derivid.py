@@ -191,7 +191,8 @@ def derivid(
     -------
     Fit
         ``cost`` is the sum of J over pairs. ``std_error`` and ``covariance`` are what the stated
-        errors of the responses cause, H⁻¹ JᵀW C W J H⁻¹ with their covariance C; residuals that
+        errors of the responses cause, 4 H⁻¹ SᵀW C W S H⁻¹ with their covariance C, the slopes S of
+        the residuals and H = 2 SᵀW S; residuals that
         exceed these surely, smoothed over frequency, stand for them, and a `DataWarning` names
         pairs most of whose points do. ``cramer_rao`` is √(H⁻¹)ᵢᵢ and ``insensitivity`` 1/√Hᵢᵢ, H
         the Gauss-Newton Hessian of the cost: T&R's figures, in which the noise is not. Where
