@@ -15,11 +15,12 @@ Passing means downwards and up to whole turns: the first such frequency sets the
 Open loop, MIL-DTL-9490E: the phase margin is 180° plus the phase where the gain passes 0 dB, the
 gain margin minus the gain where the phase passes -180°; 45° and 6 dB are wanted. With several
 crossings the least in magnitude counts; a negative gain margin is that against a loss of gain, a
-negative phase margin where the gain rises that against a phase lead. Where the gain falls for the
-last time, a negative phase margin means that the closed loop is unstable, however large it is; that
-margin counts before all others. Unstable it is too where the phase passes -180° more often
-downwards than upwards where the gain is above 0 dB: these are encirclements of -1 (Nyquist), which
-an unstable aircraft would need the other way round.
+negative phase margin where the gain rises that against a phase lead. The closed loop is unstable if
+the response encircles -1 clockwise (`casid.baseline.encirclements`), as that of a loop of the wrong
+sign does from its lowest frequencies; the phase margin is then the negative one where the gain
+falls for the last time, if there is one. Encirclements the other way round are those that a loop
+with unstable poles needs: how many there are a response alone does not tell, and margins are called
+satisfactory if the open loop has as many as these say, none without them.
 """
 
 from collections.abc import Sequence
@@ -29,6 +30,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from casid.arrays import Array
+from casid.baseline.encirclements import Encirclements, encirclements
 from casid.display import Shown
 from casid.frequency.response import FrequencyResponse, response_of_pair
 
@@ -62,8 +64,11 @@ class HandlingQualities(Shown):
     phase_margin, gain_margin : float
         [degrees], [dB].
     satisfactory : bool or None
-        Whether an open loop has both margins; None for an attitude response, whose limits depend
-        on the aircraft's mission (ADS-33 figures 6 and 9).
+        Whether an open loop has both margins, if it has as many ``unstable_poles``; None where the
+        band does not tell, and for an attitude response, whose limits depend on the aircraft's
+        mission (ADS-33 figures 6 and 9).
+    unstable_poles : int
+        How many unstable poles of the open loop its encirclements of -1 presume; 0 of a stable one.
     remarks : tuple of str
         What to know before believing the numbers.
     """
@@ -84,15 +89,23 @@ class HandlingQualities(Shown):
     phase_margin: float = np.nan
     gain_margin: float = np.nan
     satisfactory: bool | None = None
+    unstable_poles: int = 0
     remarks: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """What was read off."""
         if self.kind == "loop":
             verdict = {True: "satisfactory", False: "not satisfactory", None: "not all in the band"}
-            return f"{self.output}/{self.input}, open loop, margins {verdict[self.satisfactory]}"
+            said = f"{self.output}/{self.input}, open loop, margins {verdict[self.satisfactory]}"
+            return said + self._presumed() * (self.satisfactory is True)
         delay = "" if np.isnan(self.phase_delay) else f", phase delay {self.phase_delay:.3f} s"
         return f"{self.output}/{self.input}, bandwidth {self.bandwidth:.2f} rad/s{delay} (ADS-33)"
+
+    def _presumed(self) -> str:
+        """What a favourable verdict presumes."""
+        if not self.unstable_poles:
+            return ", if it is stable"
+        return f", if it has {self.unstable_poles} unstable pole{'s' * (self.unstable_poles > 1)}"
 
 
 def handling_qualities(
@@ -114,6 +127,8 @@ def handling_qualities(
     kind : {"attitude", "rate", "loop"}
         ``"attitude"``: read as it is; ``"rate"``: an angular rate, integrated first; ``"loop"``: a
         loop broken at one point, negative feedback, whose characteristic equation is 1 + L = 0.
+        Whether it is stable when closed is told from frequencies within a decade or so below its
+        gain crossings: give what was measured there.
     sign : {1, -1}
         -1 for a stick whose positive deflection lowers the attitude.
     attitude_command : bool
@@ -229,8 +244,9 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
     margins = _phase_margin(at_gain, x, found.phase_deg)
     spare = -np.interp(at_phase, x, found.gain_db)
     phase_margin, gain_margin, crossover, omega_180 = (np.nan,) * 4
+    around = encirclements(x, found.gain_db, found.phase_deg)
     if len(at_gain):
-        last = margins[-1] < 0 and found.gain_db[-1] < 0  # unstable by it, whatever came before
+        last = around.unstable and margins[-1] < 0 and found.gain_db[-1] < 0
         k = -1 if last else int(np.argmin(np.abs(margins)))
         phase_margin, crossover = float(margins[k]), float(np.exp(at_gain[k]))
     else:
@@ -240,57 +256,57 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
         gain_margin, omega_180 = float(spare[k]), float(np.exp(at_phase[k]))
     else:
         remarks.append("the phase does not pass -180° in the band: no gain margin in it")
-    unstable = _instability(found, at_gain)
-    remarks += unstable
+    remarks += _instability(found, around)
     wide = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
     places = np.concatenate([at_gain, at_phase])
     near = [int(np.argmin(np.abs(x - place))) for place in places]
     remarks += _doubts(gamma[near]) + _coarse(found, places)
     known = np.isfinite(phase_margin) and np.isfinite(gain_margin)
-    satisfactory = wide and not unstable if known else None
+    told = known and (around.unstable or around.beginning != "untold" or not wide)
+    satisfactory = wide and not around.unstable if told else None
     found = replace(found, omega_180=omega_180, crossover=crossover, satisfactory=satisfactory)
+    found = replace(found, unstable_poles=around.poles)
     found = replace(found, phase_margin=phase_margin, gain_margin=gain_margin)
     return replace(found, remarks=tuple(remarks))
 
 
-def _instability(found: HandlingQualities, at_gain: Array) -> list[str]:
-    """Why the closed loop is unstable; empty where nothing says so."""
-    x = np.log(found.omega)
+def _instability(found: HandlingQualities, around: Encirclements) -> list[str]:
+    """Why the closed loop is unstable, or may be; empty where nothing says so."""
+    x, way = np.log(found.omega), "falling" if around.slope <= 0 else "rising"
+    begins = (
+        f"at the lowest frequency, {found.omega[0]:.3g} rad/s, the gain is {found.gain_db[0]:.0f} "
+        f"dB, {way} by {abs(around.slope):.0f} dB a decade, the phase {around.phase:.0f}°"
+    )
+    if not around.unstable:
+        if around.beginning != "untold":
+            return []
+        return [
+            f"{begins}: so begins a loop of the wrong sign, or one whose lower frequencies are "
+            "missing; check the sign, or extend the grid to lower frequencies"
+        ]
+    if around.beginning == "reversed":
+        return [
+            f"{begins}: so begins a loop of the wrong sign, and the closed loop is unstable, "
+            "unless the response changes its sign below the band; check the sign (sign=-1)"
+        ]
     falling = _passing(x, found.gain_db, 0.0, downwards=True, turns=False)
     lost = falling[_phase_margin(falling, x, found.phase_deg) < 0]
     if len(lost):
-        unless = [
-            f" unless it is conditionally stable: the gain passes 0 dB again, at {at:.3g} rad/s, "
-            "and only counting encirclements tells"
-            for at in np.exp(at_gain[at_gain > lost[-1]])
-        ]
         return [
             "the phase is below -180° where the gain falls through 0 dB, at "
-            f"{np.exp(lost[-1]):.3g} rad/s: the closed loop is unstable{''.join(unless[:1])}; if "
-            "it flies, check the sign of the loop"
+            f"{np.exp(lost[-1]):.3g} rad/s: the closed loop is unstable; if it flies, check the "
+            "sign of the loop"
         ]
-    around = _encirclements(found)
-    if around <= 0:
-        return []
     return [
-        f"above 0 dB the phase passes -180° downwards {around} time(s) more than upwards: the "
-        "closed loop is unstable, unless the phase rises through it below the band; if it flies, "
-        "check the sign of the loop"
+        f"above 0 dB the phase passes -180° downwards {around.number:.0f} time(s) more than "
+        "upwards: the closed loop is unstable, unless the phase rises through it below the band; "
+        "if it flies, check the sign of the loop"
     ]
 
 
 def _phase_margin(at: Array, x: Array, phase: Array) -> Array:
     """Phase above -180°, in [-180°, 180°), at places in log ω."""
     return np.asarray((np.interp(at, x, phase) + 360) % 360 - 180)
-
-
-def _encirclements(found: HandlingQualities) -> int:
-    """Clockwise encirclements of -1 by the curve at positive frequencies, as far as it goes."""
-    x, counts = np.log(found.omega), []
-    for way in (1, -1):  # downwards, upwards
-        at = _passing(x, way * found.phase_deg, -180.0 * way, downwards=True)
-        counts.append(int(np.sum(np.interp(at, x, found.gain_db) > 0)))
-    return counts[0] - counts[1]
 
 
 def _passing(

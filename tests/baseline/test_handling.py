@@ -132,10 +132,10 @@ def test_loops_said_to_encircle_the_critical_point_are_unstable_when_closed():
         num = np.exp(rng.uniform(-1, 4)) * np.polymul([1, size[2]], [1, size[3]])
         num *= rng.choice([-1, 1])
         read = handling_qualities(rational(num, den), ("phi", "lat"), kind="loop")
-        if any("more than upwards" in remark for remark in read.remarks):
+        if any("the closed loop is unstable" in remark for remark in read.remarks):
             said += 1
             assert np.roots(np.polyadd(den, num)).real.max() > 0
-    assert said > 20
+    assert said > 100
 
 
 def test_a_stable_loop_around_an_unstable_aircraft_is_satisfactory():
@@ -263,8 +263,9 @@ def test_a_conditionally_stable_loop_is_not_called_unstable():
     den = np.polymul([1, 0, 0, 0], [1, 1.6, 0.64])
     assert np.roots(np.polyadd(den, num)).real.max() < 0  # closed loop
     loop = response(lambda s: np.polyval(num, s) / np.polyval(den, s))
-    (remark,) = handling_qualities(loop, ("phi", "lat"), kind="loop").remarks
-    assert "unstable unless it is conditionally stable: the gain passes 0 dB again" in remark
+    read = handling_qualities(loop, ("phi", "lat"), kind="loop")
+    assert not read.remarks
+    assert read.unstable_poles == 0
 
 
 def resonant(s):
