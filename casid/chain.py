@@ -30,6 +30,7 @@ from casid.stages.stage import (
     Task,
     check_task,
     compute,
+    examine_task,
     fitting,
     run_stages,
     watched,
@@ -167,6 +168,7 @@ def identify(
     stages = fitting(model, stages, settings or {})
     task = Task(model=model, roles=roles, stages=stages, settings=settings or {}, **held)
     check_task(task)
+    examine_task(task)
     for said in repeats({role: each for role, each in roles.items() if each}).told():
         warnings.warn(said, DataWarning, stacklevel=2)
     tell_repeats([record for each in roles.values() for record in each])

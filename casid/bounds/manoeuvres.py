@@ -9,12 +9,12 @@ rule, is exceeded by chance in a fifth of the comparisons of four, and the best 
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 
 import numpy as np
 import scipy
 
 from casid.arrays import Array
+from casid.bounds.replaceable import needed, parts_of
 from casid.bounds.telling import heard, returned, tell
 from casid.bounds.trials import Fits, aicc, run_fits
 from casid.checks import check_known
@@ -125,9 +125,20 @@ class StructureComparison(Tabled):
         chance = error * scipy.special.stdtrit(max(self.errors.shape[1] - 1, 1), SURE)
         equal = np.flatnonzero(mean <= chance)
         if not len(equal):
-            raise ConvergenceError(f"every candidate failed: {'; '.join(self.reasons.values())}")
+            raise ConvergenceError(f"every candidate failed:{self.failures()}")
         order = sorted(equal, key=lambda k: (self.parameters[k], mean[k]))
         return self.names[order[0]]
+
+    def failures(self) -> str:
+        """One line a candidate that failed: on what first, on how many more, and why."""
+        lines = []
+        for name in self.names:
+            own = {job: why for job, why in self.reasons.items() if job.startswith(f"{name}, ")}
+            if own:
+                job, why = next(iter(own.items()))
+                more = f" (and {len(own) - 1} more)" if len(own) > 1 else ""
+                lines.append(f"\n{job}{more}: {why}")
+        return "".join(lines)
 
     def headline(self) -> str:
         """Which candidate predicts best, and the simplest that is not worse."""
@@ -187,15 +198,16 @@ def compare_structures(
         How to estimate, from records.
     groups : sequence of collections of str
         Names of the manoeuvres that are left out and predicted together; every one by itself unless
-        given, and those in no group never.
+        given, but those without which the others hardly move an input: a `DataWarning` names them.
+        Those in no group are never left out.
     fixed, bounds, execution
         As in `compare_bounds`.
 
     Raises
     ------
     ValueError, ModelError
-        Too few records, other outputs, a candidate without an estimator; what the estimator
-        refuses.
+        Too few records, or groups of them without which the others move an input; other outputs, a
+        candidate without an estimator; what the estimator refuses.
     """
     with heard() as known:
         found = compared_quietly(candidates, records, estimator, groups, fixed, bounds, execution)
@@ -215,7 +227,8 @@ def compared_quietly(
     """`compare_structures` without a word of what the candidates' fits warned of."""
     flown = stretches(records)
     outputs = _checked(candidates, flown)
-    parts = _parts(groups, flown)
+    inputs = {name for each in candidates.values() for name in needed(each, fixed, bounds)}
+    parts = parts_of(groups, flown, sorted(inputs))
     left = [i for part in parts for i in part]
     ways = estimator if isinstance(estimator, Mapping) else dict.fromkeys(candidates, estimator)
     check_known("no estimator for", candidates, ways)
@@ -288,22 +301,6 @@ def _jobs(many: Fits, name: str, parts: Sequence[tuple[int, ...]]) -> list[Job]:
 def _in_turn(jobs: Mapping[str, Sequence[Job]]) -> list[Job]:
     """Those of all manoeuvres first, which the others wait for."""
     return [job for each in zip(*jobs.values(), strict=True) for job in each]
-
-
-def _parts(
-    groups: Sequence[Collection[str]] | None, records: Sequence[Record]
-) -> list[tuple[int, ...]]:
-    """Places of the records of every group; ValueError for names of none and groups of all."""
-    if groups is None:
-        return [(i,) for i in range(len(records))]
-    names = [each.name for each in records]
-    check_known("no manoeuvre is called", chain.from_iterable(groups), names)
-    parts = [tuple(i for i, name in enumerate(names) if name in group) for group in groups]
-    if len(parts) < 2 or any(len(part) in {0, len(records)} for part in parts):
-        raise ValueError("groups: expected two or more, none of them empty or of all manoeuvres")
-    if len(set(chain.from_iterable(parts))) < sum(map(len, parts)):
-        raise ValueError("groups: a manoeuvre is in two of them, and would count twice")
-    return parts
 
 
 def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tuple[str, ...]:

@@ -244,10 +244,10 @@ def check_effects(problem: Condensed, lacking: str = "") -> None:
     What is ``lacking`` of the model's channels in the targets is said beside.
     """
     if len(idle := problem.idle()):
-        name = problem.free.names[idle[0]]
+        names = [problem.free.names[k] for k in idle]
+        has, it = ("has", "it") if len(names) == 1 else ("have", "them")
         raise ModelError(
-            f"{name} has no effect on any weighted response: no target can identify it; fix it "
-            f"(fixed={{{name!r}}}), or weigh an output that depends on it"
-            + f" ({lacking})"
-            * bool(lacking)
+            f"{', '.join(names)} {has} no effect on any weighted response: no target can identify "
+            f"{it}; fix {it} (fixed={{{', '.join(map(repr, names))}}}), or weigh an output that "
+            f"depends on {it}" + f" ({lacking})" * bool(lacking)
         )

@@ -5,9 +5,11 @@ from typing import Any
 
 from casid.baseline.accuracy import DerividNotes
 from casid.baseline.derivid import Derivid
+from casid.bounds.replaceable import told_by
 from casid.declaration import check_priors
 from casid.fit import Fit
 from casid.free import free_parameters
+from casid.records import still
 from casid.report.content import BASELINE as LABEL
 from casid.report.content import Content, Section, section
 from casid.report.evidence import misfit
@@ -21,9 +23,25 @@ def _check(settings: Derivid, task: Task) -> None:
         check_priors(task.model, settings.priors, **task.held)
 
 
+def _examine(settings: Derivid, task: Task) -> None:
+    """Refuse free parameters of inputs alone that no record of the response moves."""
+    idle = still(task.roles["frequency"], task.model.inputs)
+    known = settings.priors or {}
+    names = [name for name in told_by(task.model, idle, **task.held) if name not in known]
+    if not names:
+        return
+    held = ", ".join(f'"{name}"' for name in names)
+    raise ValueError(
+        f"[derivid]: no record of [records.frequency] moves {', '.join(idle)}, and no response "
+        f"tells {', '.join(names)}: add a sweep that moves {', '.join(idle)}, leave the table "
+        f"[derivid] out, or hold these in all stages ([model] fixed = [{held}])"
+    )
+
+
 def _run(settings: Derivid, task: Task) -> Fit[Any, DerividNotes]:
     start = task.results["quadratic"].model
-    return settings.fit(start, task.results["frequency"], **task.held)
+    with placed("[derivid]:"):
+        return settings.fit(start, task.results["frequency"], **task.held)
 
 
 def _show(found: Fit[Any, DerividNotes], content: Content) -> Iterable[Section]:  # noqa: ARG001
@@ -45,5 +63,6 @@ BASELINE = Stage(
     start="quadratic",
     data=lambda _, task: task.results["frequency"],
     check=_check,
+    examine=_examine,
     show=_show,
 )

@@ -11,6 +11,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.bounds.manoeuvres import FEWEST, StructureComparison, compared_quietly
+from casid.bounds.replaceable import FEWEST as FEWEST_GROUPS
+from casid.bounds.replaceable import needed, told_unmoved, unmoved
 from casid.checks import checked_fields
 from casid.errors import ConvergenceError, warn
 from casid.fit import AnyFit, Fit
@@ -234,21 +236,51 @@ def _decimation(task: Task) -> int:
     return 1 if loses else step
 
 
-def groups(names: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Names dealt out to at most four groups."""
-    count = min(MOST, len(names))
-    return [names[k::count] for k in range(count)]
+def _examine(settings: Choosing, task: Task) -> None:  # noqa: ARG001 - of any settings
+    """Refuse what leaves too little to leave out: manoeuvres that alone move an input."""
+    (records, short), inputs = _records(task), needed(task.model, **task.held)
+    if len(groups(short, records, inputs)) >= FEWEST_GROUPS:
+        return
+    told = told_unmoved(records, inputs)
+    raise ValueError(
+        f"[choice] leaves manoeuvres out in turn, at least {FEWEST_GROUPS} of those of refinement "
+        f"that are of identification ({', '.join(short)}): {told or 'there are fewer'}; fly each "
+        "axis twice, or drop [choice]"
+    )
+
+
+def groups(
+    names: tuple[str, ...], records: Sequence[Record] = (), inputs: Sequence[str] = ()
+) -> list[tuple[str, ...]]:
+    """Names dealt out to at most four groups, without each of which the records move all inputs.
+
+    Those that nothing replaces are in none.
+    """
+    dealt: list[tuple[str, ...]] = [()] * min(MOST, len(names))
+    for name in names:
+        for k in sorted(range(len(dealt)), key=lambda k: len(dealt[k])):
+            if not unmoved(records, (*dealt[k], name), inputs):
+                dealt[k] += (name,)
+                break
+    return [each for each in dealt if each]
 
 
 def compared(settings: Choosing, task: Task) -> StructureComparison:
     """The candidates' predictions of short manoeuvres left out, and their estimates from all."""
     (records, short), steps = _records(task), last_steps(settings, task)
     start = task.results["quadratic"].model
+    inputs = needed(task.model, **task.held)
+    parts = groups(short, records, inputs)
+    if sum(map(len, parts)) < len(short):
+        warn(
+            f"[choice]: {told_unmoved(records, inputs)}; manoeuvres that nothing "
+            "replaces are not left out, and no candidate is judged by them; fly each axis twice"
+        )
     return compared_quietly(
         dict.fromkeys(steps, start),
         records,
         estimator=steps,
-        groups=groups(short),
+        groups=parts,
         fixed=tuple(task.fixed),
         bounds=task.bounds,
         execution=task.execution,
@@ -270,9 +302,7 @@ def chosen(found: StructureComparison) -> StepChoice:
     """
     above, error = found.excess
     if not np.isfinite(above).any():
-        raise ConvergenceError(
-            f"no last step could be estimated: {'; '.join(found.reasons.values())}"
-        )
+        raise ConvergenceError(f"no last step could be estimated:{found.failures()}")
     k = int(np.argmax(above <= TIE * error))
     excess, error = found.over(found.names[k])
     return StepChoice(
@@ -311,6 +341,7 @@ CHOICE = Stage(
     structured=True,
     optional=True,
     check=_check,
+    examine=_examine,
     show=_show,
 )
 CHOSEN = Stage(

@@ -103,6 +103,9 @@ class Stage:
     check : callable
         ``check(settings, task)`` refuses what cannot be, before any stage runs; the task has no
         results yet.
+    examine : callable
+        ``examine(settings, task)`` refuses what the records cannot give, once they are read and
+        before any stage runs, of a stage whose table is there.
     start : str
         Of an estimator: the stage whose fit many fits by it start from.
     data : callable
@@ -129,6 +132,7 @@ class Stage:
     ahead: bool = False
     label: str = ""
     check: Callable[[Any, Task], None] = lambda _, task: None  # noqa: ARG005
+    examine: Callable[[Any, Task], None] = lambda _, task: None  # noqa: ARG005
     start: str = ""
     data: Callable[[Any, Task], Any] | None = None
     show: Callable[[Any, Content], Iterable[Section]] = lambda _, content: ()  # noqa: ARG005
@@ -272,6 +276,13 @@ def check_task(task: Task) -> None:
             if stage.name not in before:
                 raise ValueError(f"[{table}] would not be read: {lacking(stage, task, before)}")
             stage.check(value, task)
+
+
+def examine_task(task: Task) -> None:
+    """Refuse what the records of a task cannot give to a stage whose table is there."""
+    for stage in task.stages:
+        if stage.table in task.settings:
+            stage.examine(task.settings[stage.table], task)
 
 
 def lacking(stage: Stage, task: Task, before: Collection[str]) -> str:

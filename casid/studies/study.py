@@ -29,7 +29,7 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
 from casid.repeats import tell_repeats
 from casid.saturation import longest_stop, saturated
-from casid.stages.stage import ROLES, Role, Stage, Task
+from casid.stages.stage import ROLES, Role, Stage, Task, examine_task
 from casid.studies.preparation import Cutting, Mending, SecondLogger, tell_doubled, with_inputs
 from casid.subspace.pbsid import Pbsid
 from casid.tables import placed
@@ -233,6 +233,8 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     check_plausible(done["identification"], tuple(every.values()), *stated, total=total)
     with placed("[pbsid]"):
         study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
+    with placed(f"{study.path}:"):
+        examine_task(study.task(done))
     for record in measured.values():
         _tell_lost(record)
     _tell_repeats(study, measured, done)

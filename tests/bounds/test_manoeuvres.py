@@ -26,7 +26,7 @@ from casid import (
     summary,
     validate,
 )
-from casid.bounds.manoeuvres import StructureComparison, Without, _biased, _judged, _parts
+from casid.bounds.manoeuvres import StructureComparison, Without, _biased, _judged
 
 RECORDS = campaign(1)
 HERE = Execution(executor=Inline())
@@ -133,8 +133,8 @@ def test_what_a_manoeuvre_does_not_measure_counts_for_no_candidate():
     np.testing.assert_allclose(replace(found, errors=errors).excess[0], [0.0, 0.4], rtol=1e-9)
     errors[1, 2, 0] = np.inf  # one failed
     assert replace(found, errors=errors).excess[0][1] == np.inf
-    lost = replace(found, errors=np.full(errors.shape, np.inf), reasons={"a": "singular"})
-    with pytest.raises(ConvergenceError, match="every candidate failed: singular"):
+    lost = replace(found, errors=np.full(errors.shape, np.inf), reasons={"a, all": "singular"})
+    with pytest.raises(ConvergenceError, match=r"every candidate failed:\na, all: singular$"):
         assert lost.simplest
 
 
@@ -391,18 +391,16 @@ def test_comparisons_that_make_no_sense_are_refused():
         compare_structures({"a": TRUTH}, RECORDS, estimator={"b": OutputError()})
 
 
-def test_manoeuvres_are_left_out_one_by_one_or_in_two_groups_or_more():
-    names = [record.name for record in RECORDS]
-    alone = [(i,) for i in range(len(RECORDS))]
-    assert _parts(None, RECORDS) == alone
-    assert _parts([names[:2], names[2:]], RECORDS) == [(0, 1), tuple(range(2, len(names)))]
-    for groups in ([names[:2]], [names[:2], []], [names[:2], names]):
-        with pytest.raises(ValueError, match="expected two or more, none of them empty or of all"):
-            _parts(groups, RECORDS)
-    with pytest.raises(ValueError, match="in two of them"):
-        _parts([names[:2], names[1:3]], RECORDS)
-    with pytest.raises(ValueError, match="no manoeuvre is called 'x'"):
-        _parts([names[:2], ["x"]], RECORDS)
+def test_candidates_that_all_failed_are_told_a_line_each():
+    found = comparison(np.full((2, 3), np.inf), (1, 2))
+    names = found.names
+    why = {f"{names[0]}, all": "too steep", f"{names[0]}, without x": "no", f"{names[1]}, all": "?"}
+    told = replace(found, reasons=why)
+    with pytest.raises(ConvergenceError) as error:
+        _ = told.simplest
+    first, second = str(error.value).splitlines()[1:]
+    assert first == f"{names[0]}, all (and 1 more): too steep"
+    assert second == f"{names[1]}, all: ?"
 
 
 @pytest.mark.slow

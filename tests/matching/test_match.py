@@ -240,7 +240,7 @@ class Deaf(Model):
 
 def test_parameter_without_effect_is_named():
     target = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=("u",), outputs=("y",))
-    with pytest.raises(ModelError, match="a has no effect on any weighted response"):
+    with pytest.raises(ModelError, match="a, k have no effect on any weighted response"):
         match(Deaf(), black_box(target))
 
 

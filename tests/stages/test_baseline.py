@@ -6,11 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths import uh60
+from truths.closed_roll import TRUTH, campaign
 
-from casid import Fit, derivid, frequency_response
+from casid import Derivid, Fit, ModelError, derivid, frequency_response
 from casid.report.html import body
 from casid.report.words import number
 from casid.stages.baseline import BASELINE
+from casid.stages.stage import Task
+
+OMEGA = np.geomspace(2.5, 9.0, 8)
 
 # The quasi-steady structure misses the rotor.
 pytestmark = pytest.mark.filterwarnings("ignore:derivid. measured responses are farther off")
@@ -52,3 +56,16 @@ def test_a_pair_without_enough_coherence_is_a_dash(fit):
     page = render(replace(fit, notes=replace(fit.notes, pairs=tuple(rest))))
     assert page.count(">–</td>") == render(fit).count(">–</td>") + 1
     assert number(first.J, 3) not in re.findall("<td>([^<]*)</td>", page)
+
+
+def test_parameters_of_an_input_that_no_sweep_moves_are_refused_all_at_once():
+    still = tuple(replace(each, u=each.u * [1, 0]) for each in campaign(1))
+    task = Task(model=TRUTH, roles={"frequency": still})
+    with pytest.raises(ValueError, match="moves ped, and no response tells Lped: add a sweep"):
+        BASELINE.examine(Derivid(), task)
+    BASELINE.examine(Derivid(), replace(task, fixed=("Lped",)))
+    BASELINE.examine(Derivid(priors={"Lped": (1.5, 0.1)}), task)
+    BASELINE.examine(Derivid(), replace(task, roles={"frequency": campaign(1)}))
+    one = frequency_response([each.select(inputs=["lat"]) for each in still], omega=OMEGA)
+    with pytest.raises(ModelError, match="Lped has no effect on any weighted response"):
+        derivid(TRUTH, one, starts=1)

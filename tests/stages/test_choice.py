@@ -15,6 +15,7 @@ from casid import (
     Pbsid,
     SpectralAnalysis,
     frequency_response,
+    identify,
     output_error,
 )
 from casid.bounds.manoeuvres import StructureComparison
@@ -72,6 +73,7 @@ def test_candidates_are_those_that_the_records_allow():
 
 def test_manoeuvres_are_dealt_out_to_at_most_four_groups():
     assert groups(("a", "b", "c")) == [("a",), ("b",), ("c",)]
+    assert groups(tuple("abcdef")) == groups(tuple("abcdef"), RECORDS, TRUTH.inputs)
     assert groups(tuple("abcdef")) == [("a", "e"), ("b", "f"), ("c",), ("d",)]
 
 
@@ -97,8 +99,8 @@ def test_the_one_with_the_smallest_errors_is_chosen_the_first_of_equals():
     assert "b equal within errors (-1 ± " in close.headline()
     alike = chosen(comparison([[0.001, -0.002, 0.001], [0.0, 0.0, 0.0005]]))
     assert "b equal within errors (+0.0 ± 0.1 %)" in alike.headline()  # no errors of nothing
-    with pytest.raises(ConvergenceError, match="no last step could be estimated: no"):
-        chosen(comparison([[np.nan] * 3] * 2))
+    with pytest.raises(ConvergenceError, match=r"no last step could be estimated:\na, all: no$"):
+        chosen(replace(comparison([[np.nan] * 3] * 2), reasons={"a, all": "no"}))
 
 
 def test_of_the_steps_the_chosen_one_tells_its_doubts(monkeypatch, recwarn):
@@ -176,6 +178,35 @@ def test_two_manoeuvres_are_refused_before_anything_is_estimated():
     few = replace(task(), roles={"identification": RECORDS[:2]})
     with pytest.raises(ValueError, match="takes 3 records of identification or more, here are 2"):
         CHOICE.check(Choosing(), few)
+
+
+def moved(*axes):
+    """Records of which each moves the axes named alone."""
+    return tuple(
+        replace(each, u=each.u * [axis in own for axis in ("lat", "ped")], name=f"m{k}")
+        for k, (own, each) in enumerate(zip(axes, [*RECORDS, *RECORDS], strict=False))
+    )
+
+
+LAT, PED = ("lat",), ("ped",)
+
+
+def test_what_alone_moves_an_axis_is_in_no_group():
+    once, twice = moved(LAT, LAT, PED), moved(PED, LAT, LAT, LAT, PED)
+    assert groups(("m0", "m1", "m2"), once, TRUTH.inputs) == [("m0",), ("m1",)]
+    names = tuple(each.name for each in twice)  # the fifth would join the other with ped
+    assert groups(names, twice, TRUTH.inputs) == [("m0",), ("m1", "m4"), ("m2",), ("m3",)]
+
+
+def test_too_few_manoeuvres_that_others_replace_are_refused_before_any_stage():
+    CHOICE.examine(Choosing(), task())
+    records = moved(LAT, PED, LAT)
+    one = task(identification=records, refinement=records[:2])
+    with pytest.raises(ValueError, match=r"\(m0, m1\): without m1 nothing moves ped; fly each"):
+        CHOICE.examine(Choosing(), one)
+    CHOICE.examine(Choosing(), replace(one, fixed=("Lped",)))
+    with pytest.raises(ValueError, match=r"\[choice\] leaves manoeuvres out"):
+        identify(off(share=0.1), records, refinement=records[:2], settings={"choice": Choosing()})
 
 
 def test_a_candidate_by_name_that_the_records_do_not_allow_is_refused():
