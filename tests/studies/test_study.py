@@ -58,3 +58,12 @@ def test_results_that_the_pattern_of_the_flights_would_take_are_refused_at_once(
     study.spare("report.html")
     with pytest.raises(ValueError, match=r"parameters.csv, .* would be read as a flight by .*out"):
         study.spare("report.html", "parameters.csv")
+
+
+def test_what_records_cannot_give_a_stage_is_refused_as_they_are_read(tmp_path):
+    # Any command reads them, `casid check` among these; of one manoeuvre none can be left out.
+    three = ('"sweep.csv"]', '"sweep.csv", "random.csv"]')
+    table = "[choice]\n[records.refinement]\nfiles = ['3211.csv']\n[records.validation]"
+    study = read_study(write_study(tmp_path, three, ("[records.validation]", table)))
+    with pytest.raises(ValueError, match=r"study.toml: \[choice\] leaves .*there are fewer; fly"):
+        read_records(study)
