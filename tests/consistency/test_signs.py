@@ -26,8 +26,8 @@ def named(said, name):
     return own or said.startswith(f"{name} has the opposite sign")
 
 
-DIRTY = ("p", "u")  # of which CI looks at dirty records
-CLEAN = ("q", "psi", "az")  # and at clean ones
+DIRTY = ("u",)  # of which CI looks at dirty records
+CLEAN = ("psi", "az")  # and at clean ones
 
 
 def campaigns(names, but):

@@ -110,7 +110,7 @@ def test_noise_of_accelerometers_that_walks_as_far_as_a_hover_moves_is_no_mistak
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["u", "theta"])
+@pytest.mark.parametrize("name", ["u", pytest.param("theta", marks=pytest.mark.campaign)])
 def test_signs_are_told_among_walks(name):
     record = hover(1, 0.2, dt=0.05)
     y = record.y * np.where(np.array(record.outputs) == name, -1.0, 1.0)

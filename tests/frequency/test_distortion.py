@@ -38,7 +38,7 @@ def flown(seed, damping, sizes=(0.03, 0.03, 0.06, 0.06), noise=0.003):
 
 
 @pytest.mark.parametrize(
-    "runs", [pytest.param(8, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.campaign)]
+    "runs", [pytest.param(4, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.campaign)]
 )
 def test_noise_raises_no_alarm(runs):
     found = [distortion(flown([seed, 40], 0.0, (0.03, 0.06)), omega=OMEGA) for seed in range(runs)]
