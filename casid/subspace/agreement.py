@@ -196,7 +196,7 @@ def _by_score(
     modal, free = modes.to_modal(system, su, sy, mask), np.argwhere(mask)
     weights = likelihood.noise_weights(modal, data)
     known = likelihood.parts(modal, alike(data, weights))
-    factor = modes.covariance_factor(normal_equations(modal, known, free)[0])
+    factor = modes.covariance_factor(normal_equations(modal, known, free)[0], modal)
     seen = []
     around = linearised(modal, known)
     for (record, lines), w, near in zip(pairs, weights, around, strict=True):

@@ -20,6 +20,7 @@ from casid.values import storable
 S = TypeVar("S", Array, ComplexArray)  # signals, or products of signals
 
 DEFECTIVE = 1e9  # condition number of the modes' shapes
+HIDDEN = 1e-15  # of the largest information: what rounding leaves of none, about
 RIDGE = 1e-13  # of the size of each transient: what two that look alike are told apart by
 
 
@@ -233,12 +234,41 @@ def to_complex(modal: Modal, values: Array, columns: int) -> ComplexArray:
     return np.asarray(values[first] + 1j * imaginary)
 
 
-def covariance_factor(H: Array) -> Array:
-    """L with L Lᵀ = H⁺; the gauge of each mode (scale between B and C) is a null direction."""
+def gauge(modal: Modal, size: int) -> Array:
+    """Directions (size, n) in which no output changes: B and C of a mode against each other.
+
+    One of every real mode and two of a pair, whose B may turn, too; at the places of the real and
+    imaginary parts of its λ.
+    """
+    n, (ny, nu) = modal.order, modal.D.shape
+    (_, second), (real, imaginary) = modal.place(1), modal.place(nu)
+    found, C = np.zeros((size, n)), n + n * nu + n * np.arange(ny)
+    for k, (b, c) in enumerate(zip(modal.B, modal.C.T, strict=True)):
+        other = int(second[k, 0])
+        for column, turn in ((k, 1.0), (other, 1j))[: 1 if modal.real[k] else 2]:
+            found[n + real[k], column] = (turn * b).real
+            found[C + k, column] = -(turn * c).real
+            if not modal.real[k]:
+                found[n + imaginary[k], column] = (turn * b).imag
+                found[C + other, column] = -(turn * c).imag
+    return found
+
+
+def covariance_factor(H: Array, modal: Modal) -> Array:
+    """L (parameters, rank) with L Lᵀ = H⁺, the covariance of the parameters of a modal model.
+
+    Only the `gauge` is left out. Where poles nearly meet, B and C of each are large and against one
+    another, and what tells the poles apart is 1e-11 of the largest and less, but is told: without
+    it poles would be known that are not. What rounding hides counts as `HIDDEN`, not as known.
+    """
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    s, V = np.linalg.eigh(H / np.outer(scale, scale))
-    keep = s > 1e-10 * s[-1]
-    return np.asarray(V[:, keep] / np.sqrt(s[keep]) / scale[:, None])
+    none = gauge(modal, len(H)) * scale[:, None]
+    size = np.linalg.norm(none, axis=0)
+    none = np.where(size > 0, none / np.maximum(size, 1e-300), np.eye(*none.shape))
+    Q = np.linalg.qr(none, mode="complete")[0][:, modal.order :]
+    s, V = np.linalg.eigh(Q.T @ (H / np.outer(scale, scale)) @ Q)
+    shown = np.where(np.diag(H) > 0, 1 / scale, 0.0)  # of what shows nowhere no error is told
+    return np.asarray(Q @ V / np.sqrt(np.maximum(s, HIDDEN * s[-1])) * shown[:, None])
 
 
 def schur(G: Array, n: int) -> Array:

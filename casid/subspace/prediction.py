@@ -130,7 +130,7 @@ def refine_samples(
     H, _ = normal_equations(modal, data, W, free)
     rows = sum(stretch.y.size for stretch in data)
     used = len(H) + len(data) * (nx + ny)
-    factor = modes.covariance_factor(H) * np.sqrt(rows / max(rows - used, 1))
+    factor = modes.covariance_factor(H, modal) * np.sqrt(rows / max(rows - used, 1))
     found = modes.from_modal(modal, scales, sy, predictor)
     C, D, gain = found.C, found.D[:, :nu], found.B[:, nu:]
     A, B = found.A + gain @ C, found.B[:, :nu] + gain @ D

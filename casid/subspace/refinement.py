@@ -26,6 +26,7 @@ from casid.subspace import modal as modes
 from casid.subspace.alike import alike
 from casid.subspace.fourier import Spectrum
 from casid.subspace.likelihood import Part, noise_weights, parts, without_transients
+from casid.subspace.meeting import parted, pole_errors
 from casid.subspace.slopes import normal_equations, response_derivative, with_outputs
 from casid.subspace.weighing import known_weights, smoothed
 from casid.values import storable
@@ -50,6 +51,8 @@ class ResponseUncertainty:
     factor: Array  # (parameters, rank), times its transpose the covariance of (λ, B, C, free D)
     su: Array
     sy: Array
+    poles: ComplexArray | None = None  # (nm,) if those of ``modal`` are not the model's: `parted`
+    unsettled: Array | None = None  # (parameters,) the step to the likelihood's maximum from here
 
     def response_factor(self, omega: Array) -> ComplexArray:
         """F (K, ny, nu, rank): an estimate of ln G is off by F z, z of standard normal numbers."""
@@ -61,11 +64,17 @@ class ResponseUncertainty:
         )
 
     def pole_std(self) -> tuple[ComplexArray, Array, Array]:
-        """Poles with Im >= 0 and standard deviations of their real and imaginary parts, (nm,)."""
-        lam, spread = self.modal.lam, np.linalg.norm(self.factor, axis=1)
-        first, second = self.modal.place(1)
-        imaginary = np.where(second >= 0, spread[np.maximum(second, 0)], 0.0)
-        return lam, spread[first[:, 0]], imaginary[:, 0]
+        """Poles with Im >= 0 and standard deviations of their real and imaginary parts, (nm,).
+
+        Of poles that nearly meet, see `casid.subspace.meeting`.
+        """
+        modal = self.modal
+        lam = modal.lam if self.poles is None else self.poles
+        step = np.zeros(len(self.factor)) if self.unsettled is None else self.unsettled
+        first, second = modal.place(1)
+        both = np.column_stack([self.factor, step])
+        turned = np.where(second >= 0, both[second[:, 0]], 0.0)
+        return lam, *pole_errors(lam, modal.lam, both[first[:, 0]] + 1j * turned)
 
 
 def log_factor(G: ComplexArray, dG: ComplexArray, factor: Array) -> ComplexArray:
@@ -93,14 +102,17 @@ def refine(
     modal = modes.to_modal(system, su, sy, feedthrough)
     modal, weights = _moved(modal, data, feedthrough, fastest, decaying)
     free = np.argwhere(feedthrough)
-    known = parts(modal, alike(data, known_weights(data, weights)))
-    H, _ = normal_equations(modal, known, free)
+    around = parted(modal)
+    known = parts(around, alike(data, known_weights(data, weights)))
+    H, gradient = normal_equations(around, known, free)
     rows = 2 * sum(len(s.omega) for s in data) * len(sy)
     used = len(H) + len(data) * system.nx
     inflate = rows / max(rows - used, 1)  # residuals are smaller than noise by what was fitted
-    factor = modes.covariance_factor(H) * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
+    plain = modes.covariance_factor(H, around)
+    factor = plain * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
+    step = plain @ (plain.T @ gradient)
     refined = modes.from_modal(modal, su, sy, system)
-    return refined, ResponseUncertainty(modal, free, factor, su, sy)
+    return refined, ResponseUncertainty(around, free, factor, su, sy, modal.lam, step)
 
 
 def refined_system(

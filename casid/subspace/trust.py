@@ -85,7 +85,7 @@ def growth(
     pairs = zip(data, noise_weights(modal, data), strict=True)
     alone = [parts(modal, alike([lines], [weight])) for lines, weight in pairs]
     equations = [normal_equations(modal, known, free) for known in alone]
-    whole = covariance_factor(np.sum([H for H, _ in equations], axis=0))
+    whole = covariance_factor(np.sum([H for H, _ in equations], axis=0), modal)
     factor, count = whole[: len(modal.lam)], len(equations)
     plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
     pulls = factor @ (whole.T @ np.array([gradient for _, gradient in equations]).T)

@@ -11,6 +11,7 @@ from casid.subspace.modal import (
     Modal,
     descend,
     from_modal,
+    gauge,
     mixing,
     moved,
     pair,
@@ -46,6 +47,22 @@ def test_transients_of_different_size_are_eliminated_alike():
     left = J[:, 3:] - J[:, :3] @ np.linalg.lstsq(J[:, :3], J[:, 3:])[0]
     found = schur((J * scale).T @ (J * scale), 3)
     np.testing.assert_allclose(found, left.T @ left, rtol=1e-8, atol=1e-8)
+
+
+def test_along_the_gauge_no_response_changes():
+    plant = unstable_plant()
+    modal = to_modal(plant, np.ones(plant.nu), np.ones(plant.ny), np.zeros(plant.D.shape, bool))
+    size = plant.nx * (1 + plant.nu + plant.ny)
+    directions = gauge(modal, size)
+    assert np.linalg.matrix_rank(directions) == plant.nx
+
+    def response(step):
+        model = moved(modal, step, np.zeros((0, 2), dtype=int))
+        return from_modal(model, np.ones(plant.nu), np.ones(plant.ny), plant).response(OMEGA)
+
+    for direction in directions.T:
+        slope = (response(1e-4 * direction) - response(-1e-4 * direction)) / 2e-4
+        assert np.abs(slope).max() < 1e-9 * np.abs(response(0 * direction)).max()
 
 
 def test_a_descent_finds_the_system_whose_response_is_given():
