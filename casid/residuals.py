@@ -12,13 +12,15 @@ import scipy
 from casid.arrays import Array, BoolArray
 from casid.closeness import BAND
 from casid.display import Shown, listed
-from casid.records import Records, same_channels, stretches
+from casid.prediction import PredictionPlan
+from casid.records import Records, same_channels, standard_deviations, stretches
 from casid.samples import known_mean
 from casid.threads import one_thread
 from casid.unexplained import unexplained
-from casid.validation import AnyModel, validate
+from casid.validation import AnyModel, Validation, predicted, validate
 
 LAGS = 25  # usual in the field
+EXACT = 1e-6  # of its size: noise of an output below which it has none
 WIDE = 0.5  # correlation: where the band is wider, hardly any can leave it
 
 
@@ -94,8 +96,8 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
     Parameters
     ----------
     model : Fit, Model, BlackBox or StateSpace
-        Simulated over each record from a fitted initial state, with fitted biases; predicted piece
-        by piece where it grows too much, as by `validate`.
+        Simulated over each record from a fitted initial state, with fitted biases, outputs weighed
+        by what is left of them; predicted piece by piece where it grows too much, as by `validate`.
     records : Record or sequence of Record
         Equidistant; missing samples are passed over.
     lags : int
@@ -119,7 +121,7 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
         if not 1 <= lags < record.N // 2:
             raise ValueError(f"lags={lags}: expected 1 to {record.N // 2 - 1} of {record.name!r}")
     found = validate({"model": model}, records)
-    errors = [r.y - y for r, y in zip(records, found.simulated["model"], strict=True)]
+    errors = _errors(model, found)
     seen = np.flatnonzero(np.isfinite(np.vstack(errors)).any(axis=0))
     errors = [e[:, seen] for e in errors]
     left = [_centred(e) for e in errors]
@@ -145,6 +147,25 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
         records=tuple(record.name for record in records),
         unexplained=tuple(unexplained(outputs, [r.y[:, seen] for r in records], mean_square)),
     )
+
+
+def _errors(model: AnyModel, found: Validation) -> list[Array]:
+    """What a model leaves of each record (N, ny), its unknowns of greatest likelihood.
+
+    By the outputs' sizes, as `validate` weighs them to compare models, an output of much noise
+    would move unknowns so far that those of little noise have residuals of their shape.
+    """
+    records = found.measured
+    left: list[Array] = [r.y - y for r, y in zip(records, found.simulated["model"], strict=True)]
+    size = standard_deviations(records)[1]
+    noise = np.sqrt(known_mean(np.vstack(left) ** 2))
+    scale = np.maximum(noise, EXACT * size)
+    biased = [name for name in found.outputs if name not in found.unbiased]
+    for i, record in enumerate(records):
+        if np.isinf(found.horizon[i]) and len(found.known["model"]) > 1:  # one is weighed alone
+            plan = PredictionPlan(np.inf)
+            left[i] = record.y - predicted("model", model, record, plan, scale, biased).y
+    return left
 
 
 def _centred(x: Array) -> Array:

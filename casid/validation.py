@@ -215,7 +215,7 @@ def validate(
     far = [prediction_plan(every, record, horizon, closed_loop) for record in records]
     predictions = {
         name: [
-            _predicted(name, model, *each, scale, biased) for each in zip(records, far, strict=True)
+            predicted(name, model, *each, scale, biased) for each in zip(records, far, strict=True)
         ]
         for name, model in models.items()
     }
@@ -286,7 +286,7 @@ def _check(
             )
 
 
-def _predicted(
+def predicted(
     name: str,
     model: AnyModel,
     record: Record,
@@ -294,6 +294,7 @@ def _predicted(
     scale: Array,
     biased: Collection[str],
 ) -> Prediction:
+    """A model's outputs over a record; ``scale`` (ny,) weighs those measured."""
     structure = model.model if isinstance(model, Fit) else model
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # the measures tell of what runs away
@@ -330,8 +331,7 @@ def judged_samples(
 ) -> tuple[BoolArray, ...]:
     """Samples of each record on which a model is judged, (N, ny): measured, of outputs it has.
 
-    ``begins`` are the samples at which predictions begin. A model that has no number at one of
-    these has not predicted it.
+    ``begins``: where predictions begin. A model without a number at one has not predicted it.
     """
     has = np.array([name in known for name in records[0].outputs])
     return tuple(

@@ -57,6 +57,31 @@ def test_of_a_true_model_99_percent_of_the_correlations_are_inside_their_bands(c
     assert (0.97 < white < 1.0) if colour == 0 else (white < 0.5)
 
 
+@pytest.mark.second
+def test_a_quiet_output_beside_a_loud_one_has_white_residuals():
+    # Turn and roll of a coupled pair, whose sizes are alike and whose noise is 1 to 50.
+    pair = StateSpace(
+        [[-0.1, 1.0], [-1.0, -0.1]],
+        [[1.0], [0.0]],
+        np.eye(2),
+        np.zeros((2, 1)),
+        None,
+        ("lat",),
+        "pr",
+    )
+    rng, t, inside, rms = np.random.default_rng(8), DT * np.arange(400), [], []
+    noise = np.array([0.5, 0.01])
+    for _ in range(30):
+        u = rng.standard_normal((400, 1))
+        y = pair.simulate(t, u) + noise * rng.standard_normal((400, 2))
+        found = residuals(pair, Record(t, u, y, ("lat",), ("p", "r"), "stick"))
+        inside.append(found.inside()[:, 0])
+        rms.append(found.rms / noise)
+    assert np.mean(inside, axis=0) == pytest.approx(0.99, abs=0.015)
+    # Of 400 samples unknowns of greatest likelihood take four degrees of freedom at most.
+    assert np.mean(np.square(rms), axis=0) == pytest.approx(1 - 2 / 400, abs=0.04)
+
+
 def test_missing_samples_are_passed_over():
     record = flown(np.random.default_rng(3))
     y = record.y.copy()
