@@ -45,6 +45,8 @@ LONG = (
     "weights",
     "units",
     "bounds",
+    "exchange",
+    "autopilot",
 )  # pages whose examples take long and stand in other tests too
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)

@@ -76,10 +76,18 @@ def interrupted(program, moment, folder):
 
 
 @pytest.mark.slow
-def test_an_interruption_at_any_moment_is_one_line_and_the_same_command_goes_on(tmp_path):
+@pytest.mark.parametrize(
+    "moments",
+    [
+        ("casadi", "casid.nlp._Watcher:eval:60", "matplotlib.backends.backend_svg"),
+        pytest.param(tuple(BEFORE), marks=pytest.mark.campaign),
+    ],
+    ids=["three", "all"],
+)
+def test_an_interruption_at_any_moment_is_one_line_and_the_same_command_goes_on(moments, tmp_path):
     write_study(tmp_path)
     before = {}
-    for moment in BEFORE:
+    for moment in moments:
         kept, said = interrupted(PROGRAM, moment, tmp_path)
         lines = [line for line in said if "do not agree with kinematics" not in line]
         assert lines == ["Interrupted; what had ended is kept, the same command goes on."], moment

@@ -4,7 +4,7 @@ import ast
 import json
 import re
 import tomllib
-from importlib.metadata import metadata
+from importlib.metadata import distribution, metadata
 from pathlib import Path
 
 import pytest
@@ -88,7 +88,10 @@ def rows(heading):
 def test_every_dependency_is_listed_with_a_reason_and_the_licence_it_declares():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *extras["tables"], *extras["logs"]]
+    wanted = [
+        *project["dependencies"],
+        *(package for kind in ("tables", "logs", "fmu") for package in extras[kind]),
+    ]
     table = rows("## Dependencies")
     listed = {name: (reason, said) for name, reason, said in table if "(shipped" not in name}
     assert set(listed) == {re.split(r"[<>=\[ ;]", each)[0] for each in wanted}
@@ -99,6 +102,7 @@ def test_every_dependency_is_listed_with_a_reason_and_the_licence_it_declares():
 
 SAID = {  # how packages call the licences
     "BSD-3-Clause": "BSD",
+    "BSD-2-Clause": "2-Clause BSD",
     "MIT": "MIT",
     "Apache-2.0": "Apache",
     "LGPL-3.0-only": "LGPL-3.0-only",
@@ -111,7 +115,9 @@ def declared(name):
     found = metadata(name)
     classifiers = [each for each in found.get_all("Classifier") or [] if "License" in each]
     said = (found.get("License-Expression"), found.get("License"), *classifiers)
-    return " ".join(each for each in said if each)
+    files = distribution(name).files or []
+    texts = (file.read_text("utf-8") for file in files if file.name in {"LICENSE", "LICENSE.txt"})
+    return " ".join(each for each in said if each) or next(texts, "")
 
 
 def test_the_limits_are_those_of_the_code():

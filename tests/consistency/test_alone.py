@@ -51,7 +51,7 @@ def test_the_one_that_is_late_is_told_and_moves_alone(regime, name, lag):
     "late",
     [
         pytest.param({"p": 0.08}, marks=pytest.mark.campaign),
-        {"az": 0.08},
+        pytest.param({"az": 0.08}, marks=pytest.mark.campaign),
         pytest.param(dict.fromkeys("uvw", 0.1), marks=pytest.mark.campaign),
     ],
     ids=str,

@@ -82,7 +82,7 @@ HEADED = (*bodies.WHOLE, "psi")
     "names",
     [
         pytest.param(("phi", "theta"), marks=pytest.mark.campaign),
-        ("psi",),
+        pytest.param(("psi",), marks=pytest.mark.campaign),
         pytest.param(("phi",), marks=pytest.mark.campaign),
         pytest.param(("theta",), marks=pytest.mark.campaign),
     ],

@@ -88,7 +88,9 @@ def flights_of(records, outputs=HEADED):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late", [pytest.param(0.2, marks=pytest.mark.campaign), 0.25])
+@pytest.mark.parametrize(
+    "late", [pytest.param(each, marks=pytest.mark.campaign) for each in (0.2, 0.25)]
+)
 def test_clocks_that_leave_no_less_are_not_told_though_records_seem_to_differ(late, monkeypatch):
     records = bodies.flown(7, "slow", dict.fromkeys("uvw", late), HEADED, single=True)
     flights, labels = flights_of(records), {0: "r0", 1: "r1", 2: "r2"}

@@ -58,7 +58,7 @@ def test_what_is_shaken_on_a_bench_is_doubted_and_what_flies_is_not(tmp_path, dr
     assert [draft.doubts for draft in drafts.values()] == [()] * len(WRITERS)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_attitudes_that_come_late_are_told_and_offered_and_change_no_share(tmp_path, drafts):
     path, late = tmp_path / "late.ulg", 0.06
     path.write_bytes(ulog(angles_late=late))

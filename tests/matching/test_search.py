@@ -83,7 +83,7 @@ def test_a_match_from_its_own_result_is_the_same(norm):
     np.testing.assert_allclose(again.model.vector(), fit.model.vector(), rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_rotor_structure_matched_again_from_its_result_is_no_worse():
     # The black box of the eight noise-free records, phugoid and all: of its many minima the one
     # that continuation from this result leads to costs 29 % more.

@@ -159,7 +159,7 @@ def test_signs_that_are_copied_and_angles_that_wrap_jump():
     assert (found.equation, found.threshold, found.times) == ("psi", "sin(psi) = 0", 3)
 
 
-@pytest.mark.second
+@pytest.mark.campaign
 def test_a_fit_says_that_its_errors_miss_how_jumps_move():
     record = flown(Roll())
     with pytest.warns(DataWarning, match=r"Roll: dp/dt jumps at 0.5 = fabs\(p\), passed \d+ times"):

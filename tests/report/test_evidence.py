@@ -212,7 +212,7 @@ def turned(white):
     return x @ system.C.T
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_turbulence_is_no_other_aircraft():
     assert judged(0, gust=2.0, process_noise=True) == []
 

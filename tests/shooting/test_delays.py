@@ -344,7 +344,7 @@ def test_jumps_in_a_delay_that_no_parameter_holds_are_told(structure, domain):
         output_error(structure(), paired(Alike, 0.05), fixed=fixed, solver=limit, domain=domain)
 
 
-@pytest.mark.second
+@pytest.mark.campaign
 def test_a_delay_of_a_fixed_parameter_and_a_free_one_is_that_ones():
     records = paired(Longer, 0.087)
     with warnings.catch_warnings():

@@ -134,7 +134,7 @@ def test_covariances_know_of_the_first_process_noise_there_is():
         np.testing.assert_allclose(slope, by_difference, atol=1e-3 * by_difference.max())
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_still_air_is_told_over_a_growing_mode():
     case = cases()["2 states, 2 outputs"]
     still = replace(case, density=np.full(2, 1e-30), N=400)

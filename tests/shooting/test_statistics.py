@@ -123,7 +123,7 @@ class ShortPeriod(Model):
         return [[0], [-5.0]]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_intervals_of_two_seconds_of_data_cover_what_they_claim():
     truth, rng, t = ShortPeriod(), np.random.default_rng(11), 0.05 * np.arange(35)
     u = 0.1 * ((t > 0.3) & (t < 0.7)) - 0.1 * ((t > 0.7) & (t < 1.1))

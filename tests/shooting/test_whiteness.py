@@ -234,7 +234,7 @@ def rolled(seed, gust, gain, *, lag=0.0, wait=0, noise=0.01, N=750, h=0.04):
 FOLLOWED = r"residuals are correlated in time \(p, phi\), and later inputs \(lat\) follow them"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_gusts_that_are_fed_back_are_told_and_a_filter_is_the_remedy():
     records = [rolled(seed, 0.02, [0.1, 0.3]) for seed in range(1, 5)]
     with pytest.warns(DataWarning, match=FOLLOWED + r".*process_noise=True \(filter error\), or"):

@@ -51,7 +51,7 @@ def test_coarse_samples_of_hardly_damped_modes_are_chosen_without_a_word(chosen)
     assert np.std(found - y) < np.std(projected - y)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_choice_is_the_candidate_that_leaves_least_of_the_stretches(chosen):
     *_, box = chosen
     best = min(box.selection.candidates, key=lambda c: c.score)

@@ -45,7 +45,7 @@ def test_a_flight_that_does_not_support_a_model_is_said_to():
     assert "vibration" in said
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_records_made_for_identification_are_not_doubted():
     settings = {"past": 8, "pole": 8.0, "feedthrough": ["ax", "ay", "az"]}
     box = pbsid(sweeps(seed=1), order=16, **settings)
