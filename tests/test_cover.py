@@ -118,7 +118,7 @@ def test_a_weight_too_low_of_order_says_how_large_it_is_and_which_would_do():
     assert "makes" not in repr(enough)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_modes_that_no_order_follows_are_told_and_the_excess_is_that_of_a_dense_grid():
     rng = np.random.default_rng(4711)
 

@@ -126,7 +126,7 @@ def test_an_outcome_without_success_costs_everything():
     assert outcome.cost == np.inf
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_filter_that_stops_early_goes_on_over_the_parameters_alone(monkeypatch):
     case = cases()["2 states, 2 outputs"]
     record = fly(case, np.random.default_rng(8), "gusts").between(0.0, 12.0)

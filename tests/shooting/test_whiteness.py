@@ -154,7 +154,7 @@ def test_one_gust_that_drives_two_states_is_told_and_two_are_not():
     assert (np.abs(fit.model.vector() - Lags().vector()) < 3 * std).all()
 
 
-@pytest.mark.second
+@pytest.mark.campaign
 def test_a_gust_that_lasts_is_told():
     with pytest.warns(DataWarning, match="innovations are correlated in time"):
         output_error(Lags(), driven(1, TWO, 300, 0.9), process_noise=True)
