@@ -53,6 +53,7 @@ def measured(factor, system=None, error=0.02, windows=(6.0,)):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.second
 def test_the_true_structure_is_enough_wherever_the_search_begins(seed):
     found = distances(off(), box(seed), band=BAND)
     assert found.enough
@@ -90,6 +91,7 @@ def test_bounds_that_keep_a_structure_away_are_told():
     assert "may be the reason" in found.headline()
 
 
+@pytest.mark.second
 def test_a_black_box_that_measurements_contradict_is_no_fault_of_the_structure():
     found = distances(NoSideslip(), box(1), measured(1.3), band=BAND)
     hidden = [row for row in found.rows if not row.doubted]  # by the black box's own error
@@ -111,6 +113,7 @@ def test_a_black_box_is_as_far_from_the_truth_as_its_own_errors():
     assert np.mean([row.doubted for row in rows]) < 0.02
 
 
+@pytest.mark.second
 def test_errors_that_are_alike_are_exceeded_farther():
     # Twelve numbers that are one are more often far than twelve of their own.
     levels = [
@@ -191,6 +194,7 @@ def fed_back(box, low):
     return replace(box, excitation=excitation)
 
 
+@pytest.mark.second
 def test_what_comes_back_from_the_outputs_is_no_evidence_against_a_structure():
     # Pedals whose response is three times the aircraft's, as a controller's inverse may be.
     gain = np.array([1.0, 3.0])  # of lat, ped

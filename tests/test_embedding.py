@@ -76,6 +76,7 @@ def test_the_band_of_the_true_structure_is_hardly_wider():
     assert inside(both, TRUTH.system().response(OMEGA)) > 0.9
 
 
+@pytest.mark.second
 def test_what_noise_does_to_the_fit_is_no_error_of_its_structure():
     fit = output_error(TRUTH, [campaign(1, 4)[0].decimate(2)])  # of a quarter of the records
     alone = structure_error(replace(fit, covariance=None), box())
@@ -176,6 +177,7 @@ def test_modes_and_bandwidth_are_less_certain_with_it():
     assert both.real_std >= plain.real_std
 
 
+@pytest.mark.second
 def test_modes_are_as_uncertain_as_they_are_off_those_of_the_black_box():
     fit = fitted("true")
     plain = mode_bands(fit)

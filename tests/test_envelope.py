@@ -124,6 +124,7 @@ class Climbing(NonlinearModel):
         return {"u": 30.0, "w": 2.0, "thr": 4.0}
 
 
+@pytest.mark.second
 def test_errors_count_that_what_a_condition_leaves_open_moves_with_the_estimates():
     t, rng = 0.1 * np.arange(300), np.random.default_rng(3)
     u = np.column_stack([0 * t, 4.0 + 0.5 * np.sign(np.sin(0.7 * t))])
@@ -143,6 +144,7 @@ def test_errors_count_that_what_a_condition_leaves_open_moves_with_the_estimates
     np.testing.assert_allclose(found.std_error[0], expected, rtol=1e-5)
 
 
+@pytest.mark.second
 def test_of_two_balances_that_is_shown_which_the_records_flew():
     t, rng = 0.05 * np.arange(200), np.random.default_rng(5)
     e = 1 + 0.1 * np.sin(0.9 * t)
@@ -303,6 +305,7 @@ def test_what_trims_do_not_name_is_balanced_at_each_speed():
     assert found.doubts == ()
 
 
+@pytest.mark.second
 def test_conditions_without_balance_are_told():
     with pytest.warns(
         DataWarning, match=r"Sinking is linearised .* 30 m/s .*d/dt w = 5\.76 instead"

@@ -219,6 +219,7 @@ def unprivileged():
 
 
 @pytest.mark.parametrize("which", ["the folder of results", "the folder around it"])
+@pytest.mark.second
 def test_a_read_only_folder_is_named_with_the_remedy(which, finished):
     assert finished.report.exists()  # libraries are read while root may read them
     with tempfile.TemporaryDirectory() as name:  # pytest's own is closed to others

@@ -99,6 +99,7 @@ def test_a_scheduled_structure_has_the_derivatives_of_its_speed():
     assert system.A[5, 5] == pytest.approx(hybrid.Nr - hybrid.Nr_V / 2 + hybrid.Nr_VV / 4)
 
 
+@pytest.mark.slow
 def test_scheduled_flapping_at_a_trim_is_that_of_the_hybrid_model():
     model = scheduled(ScheduledHybrid)
     absent = ("Zb1c", "Lped", "Mq", "Mfv", "Mfw", "Mflat", "Lfv", "Lfw", "Xtilt", "Ytilt")

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 
+import pytest
 from truths.roll_study import write_study
 
 
@@ -13,6 +14,7 @@ def test_the_package_runs_as_a_module():
     assert done.stdout.startswith("Usage: casid [OPTIONS] COMMAND")
 
 
+@pytest.mark.second
 def test_a_console_that_knows_few_characters_ends_no_command(tmp_path):
     write_study(tmp_path)
     command = [sys.executable, "-m", "casid", "check", "roll.py:Roll"]

@@ -42,6 +42,7 @@ def flown(system=STABLE, noise=0.02):
     return Record(T, steps(), y, ("u",), ("a", "b"), "steps")
 
 
+@pytest.mark.second
 def test_a_prediction_knows_nothing_of_what_was_measured_after_its_start():
     record = flown()
     (horizon,) = validate({"m": with_spurious(1.0)}, [record]).horizon

@@ -42,6 +42,7 @@ def test_what_is_on_a_bound_moves_inward_with_others(fit):
     )  # fmt: skip
 
 
+@pytest.mark.second
 def test_what_a_bound_leaves_open_is_what_is_known_without_it_but_for_one_side(fit, free):
     # N(-1/2, 1) above 0 has E d² = 0.68; what the other parameters err by with it follows it.
     k, C, P = fit.free_names.index("Lp"), fit.covariance, free.covariance

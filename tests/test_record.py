@@ -274,6 +274,7 @@ def test_steps_stay_steps_when_sampled_faster():
     np.testing.assert_allclose(fast.y[:, 0], np.sin(fast.t), atol=1e-6)
 
 
+@pytest.mark.second
 def test_a_late_channel_is_shifted_back():
     record = flight(0, {"p": (0.0, 0.0, 0.06)}, outputs=("p", "q", "r", "phi", "theta"))
     back = record.shift({"p": -0.06})

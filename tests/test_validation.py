@@ -284,6 +284,7 @@ def test_predictions_without_a_bias_do_not_learn_an_offset():
     assert (without.biases["m"][0, 0], without.unbiased) == (0.0, ("y",))
 
 
+@pytest.mark.second
 def test_what_was_estimated_without_a_bias_is_judged_without_and_so_is_what_stands_beside():
     records = [flown(x0=0 * X0, bias=0 * BIAS, noise=0.01)]
     exact, free = (OutputError(biases=b).fit(Roll(), records) for b in (["phi"], True))

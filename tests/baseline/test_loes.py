@@ -74,6 +74,7 @@ def test_delays_of_more_than_a_turn_are_found_exactly(numerator, denominator, tu
     np.testing.assert_allclose(fit.denominator, denominator, rtol=1e-5)
 
 
+@pytest.mark.second
 def test_no_delay_fits_a_higher_order_better():
     # The best K and a of K e^(-τs)/(s + a) for every delay, from several a each; K is closed.
     omega = np.geomspace(0.3, 15.0, 40)
@@ -209,6 +210,7 @@ def test_uh60_roll_rate_is_a_low_order_system():
     assert 0 < fit.delay < 0.2
 
 
+@pytest.mark.second
 def test_bad_requests_are_refused():
     frf = frequency_response(uh60.sweeps(seed=3), omega=np.geomspace(0.5, 12, 10))
     with pytest.raises(ValueError, match="name one pair"):

@@ -78,6 +78,7 @@ def multipliers(case):
 
 
 @pytest.mark.parametrize("name", CLOSED)
+@pytest.mark.second
 def test_multipliers_are_the_derivatives_of_the_closed_form_cost(matched, name):
     cost, prices = minimum(*map(np.array, CLOSED[name]))
     assert matched[name].cost == pytest.approx(cost, rel=1e-7)  # the solver's tolerance is 1e-8
@@ -444,6 +445,7 @@ class Stubborn:
         return MATCHED.fit(model, data, bounds=bounds, **more)
 
 
+@pytest.mark.second
 def test_a_minimum_that_stays_local_is_told_and_of_ranges_apart_none_is(recwarn):
     target, _ = gains(1.0, 0.1)
     lower, upper = {"k": (-2.5, 0.1)}, {"k": "> 0.15"}

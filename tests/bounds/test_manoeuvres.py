@@ -93,6 +93,7 @@ def test_the_simplest_that_is_not_significantly_worse_is_named():
 
 
 @pytest.mark.parametrize("n", [3, 4, 8])
+@pytest.mark.second
 def test_a_structure_as_good_is_worse_by_chance_as_rarely_as_student_says(n):
     rng = np.random.default_rng(n)
     named, missed = [], []

@@ -45,6 +45,7 @@ def test_no_manoeuvre_is_held_for_an_input_that_none_moves_or_all_do():
             assert len(parts_of(None, moving(*reaches), INPUTS)) == 3
 
 
+@pytest.mark.second
 def test_parameters_of_inputs_are_those_that_an_estimate_without_them_lacks():
     (record,) = moving((1, 0), records=FLOWN[:1])
     assert told_by(TRUTH, ["ped"]) == ["Lped"]

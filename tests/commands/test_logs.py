@@ -33,6 +33,7 @@ def test_the_command_lists_topics_channels_delays_and_stretches(imported):
     assert f"casid identify {path.with_suffix('') / 'study.toml'}" in result.output
 
 
+@pytest.mark.second
 def test_the_study_it_writes_is_in_order(imported):
     path, _ = imported
     study = str(path.with_suffix("") / "study.toml")

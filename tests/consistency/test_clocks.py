@@ -17,6 +17,7 @@ def check():
     return kinematic_check(flight(0, late, NOISE, OUTPUTS))
 
 
+@pytest.mark.second
 def test_the_fewer_move_and_stay_in_the_order_of_the_record(check):
     moves, (why,) = aligned(check, OUTPUTS, (), ["lat"])
     assert list(moves) == ["phi", "theta"]

@@ -59,6 +59,7 @@ def test_sound_records_of_several_sizes_agree(noise):
     ],
     ids=["scale of a stick", "scale of an output", "sign", "clock"],
 )
+@pytest.mark.second
 def test_a_spoiled_record_is_named_with_channel_and_size(spoil, said):
     first, second, third = three()
     with pytest.warns(DataWarning, match=said) as told:

@@ -40,6 +40,7 @@ def test_a_saved_response_reads_back_the_same(measured, tmp_path):
         FrequencyResponse.load(path)
 
 
+@pytest.mark.second
 def test_python_control_reads_the_response(measured):
     there = measured.to_control()
     assert there.input_labels == list(measured.inputs)

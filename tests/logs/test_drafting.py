@@ -89,6 +89,7 @@ def test_one_stretch_is_divided_and_none_takes_the_longest_record(tmp_path, monk
     assert sum(each.record.duration for each in draft.stretches) == pytest.approx(12, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_structure_of_the_users_takes_the_channels_it_names(tmp_path, drafts):
     model = drafts["flight.bin"].study.with_name("axes.py")
     path = tmp_path / "other.tdms"

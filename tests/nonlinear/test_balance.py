@@ -188,6 +188,7 @@ def test_a_bent_balance_moves_as_balancing_anew():
         assert moves[name]["k"][0] == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.second
 def test_a_linearisation_moves_with_its_condition():
     model, V = Sinking(), 20.0
     linear = model.at(balanced(model, level(V)).trim)

@@ -37,6 +37,7 @@ def test_linear_structures_travel_to_other_processes():
     assert pickle.loads(pickle.dumps(linear)) == linear
 
 
+@pytest.mark.second
 def test_an_unknown_of_the_trim_is_estimated_with_the_parameters():
     # The black box is exact; the stick that holds theta = 0.4 follows from the balance alone.
     truth = Swing(Mq=-0.8, M=6.0, Mlon=8.0, tau=0.05)

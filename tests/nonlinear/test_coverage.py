@@ -177,6 +177,7 @@ def test_what_covers_is_named(flown, by):
         warn_beyond(Lifting(), "here", {"alpha": (-0.5, 0.5)}, {"alpha": flown})
 
 
+@pytest.mark.second
 def test_records_widen_what_tables_cover():
     wide = (10.0, 30.0, 60.0)
     records = [flown(s, 1.0, Pushed(knots=wide), seed=s) for s in (38, 44)]

@@ -80,6 +80,7 @@ class Draggy(NonlinearModel):
         return [x.q, x.theta + self.off]
 
 
+@pytest.mark.second
 def test_what_is_told_apart_is_judged_along_the_record():
     found = identifiability(Draggy(), swung(1), fixed=("g2", "off"))
     assert found.identifiable
@@ -117,6 +118,7 @@ def test_a_structure_that_runs_away_is_judged_over_shorter_pieces():
         identifiability(replace(TRUTH, Mq=900.0), swung(1), spread=0.0, bounds={"Mq": (-5, 1e3)})
 
 
+@pytest.mark.second
 def test_a_response_is_judged_at_its_flight_condition_only():
     record = swung(1)
     response = frequency_response(record)

@@ -88,6 +88,7 @@ def flown(model):
 @pytest.mark.parametrize(
     ("model", "threshold"), [(Roll(), "0.5 = fabs(p)"), (Friction(L1=-0.2), "p = 0")]
 )
+@pytest.mark.second
 def test_jumps_that_records_pass_are_told_as_often_as_they_do(model, threshold):
     record = flown(model)
     x = record.y
@@ -106,6 +107,7 @@ def test_a_threshold_in_the_middle_of_a_sample_is_a_jump_too(model, told, up):
 
 
 @pytest.mark.parametrize("model", [Roll(rate=5.0), Bent(), Switched()], ids=["far", "bent", "by u"])
+@pytest.mark.second
 def test_what_no_parameter_moves_or_does_not_jump_is_not_told(model):
     record = flown(model)
     assert passages(model, [(record.y, record.u)]) == []
@@ -149,6 +151,7 @@ class Heading(NonlinearModel):
         return [ca.atan2(ca.sin(x.psi), ca.cos(x.psi))]
 
 
+@pytest.mark.second
 def test_signs_that_are_copied_and_angles_that_wrap_jump():
     record = flown(Copied(L1=-0.2))
     (found,) = passages(Copied(L1=-0.2), [(record.y, record.u)])

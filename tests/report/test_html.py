@@ -93,6 +93,7 @@ def test_the_page_tells_what_each_source_contributes_to_the_match(page, content)
         assert f'<th class="left">{row.name}</th><td>{len(row.grid)}</td>' in text
 
 
+@pytest.mark.second
 def test_standard_errors_and_the_cramer_rao_bound_stand_side_by_side(page, content):
     text = page.read_text(encoding="utf-8")
     for row in content.results["output_error"].parameters:

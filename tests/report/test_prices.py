@@ -34,6 +34,7 @@ def test_the_figure_has_a_row_a_parameter_the_largest_price_first(compared):
     assert low > high  # from the top
 
 
+@pytest.mark.second
 def test_a_held_value_is_filled_and_has_no_interval(compared):
     ax = Figure().subplots()
     plot_bounds(ax, compared)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from truths.closed_roll import TRUTH, flown, jittered, with_holes
 
 from casid.free import free_parameters
@@ -32,6 +33,7 @@ def squares(evaluator, point):
     return 0.5 * (evaluator.simulate(point).residuals ** 2 / np.diag(R)).sum(axis=0)
 
 
+@pytest.mark.second
 def test_gradients_are_differences_of_half_the_sum_of_squares():
     evaluator, point, mu = parts()
     found = curvature(swept(evaluator, point), mu)
@@ -74,6 +76,7 @@ def test_costates_run_back_through_every_interval():
         np.testing.assert_allclose(one, known, rtol=1e-12)
 
 
+@pytest.mark.second
 def test_curvature_is_what_gauss_newton_lacks_of_second_differences():
     evaluator, point, mu = parts()
     layout, nf = evaluator.layout, evaluator.nf

@@ -194,6 +194,7 @@ def test_prior_and_records_are_weighed_by_their_information():
     assert np.isnan(fit["Llat"].prior)
 
 
+@pytest.mark.second
 def test_a_prior_that_the_records_contradict_is_told_and_one_they_bear_out_is_not(recwarn):
     records, R = flown((0.0, 0.0)), SIGMA**2 * np.eye(2)
     alone = OutputError(R=R).fit(Roll(), records)["Lp"]

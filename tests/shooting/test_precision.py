@@ -110,6 +110,7 @@ def test_culprits_of_a_near_singular_information_are_named():
     assert output_error(TRUTH, [noisy()]).notes.collinear == ()
 
 
+@pytest.mark.second
 def test_an_exactly_singular_factor_is_told_with_the_best_fit(monkeypatch):
     def singular(*_):
         raise RuntimeError("Factor is exactly singular")
@@ -281,6 +282,7 @@ def test_information_is_that_of_least_squares_with_all_else_projected_out():
     assert found.undetermined == ()
 
 
+@pytest.mark.second
 def test_errors_allow_for_what_the_fit_took_from_the_residuals():
     record = noisy(2)
     free = output_error(TRUTH, record)

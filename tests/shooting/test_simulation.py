@@ -76,6 +76,7 @@ class Blind(Swing):
     units = MappingProxyType({"q": "rad/s"})
 
 
+@pytest.mark.second
 def test_a_long_swing_from_an_unknown_angle_is_followed():
     # From rest no step that all 20 s ask for leads to the start; the first second's does.
     model, t = Blind(Mq=-0.03, M=6.0, Mlon=8.0, tau=0.0), np.arange(0.0, 20.0, 0.05)

@@ -43,6 +43,7 @@ def test_every_pair_and_parameter_stands_in_the_report(fit):
     assert len(re.findall('class="left poor"', page)) == len(missed)
 
 
+@pytest.mark.second
 def test_a_fit_read_back_makes_the_same_section(fit, tmp_path):
     fit.save(tmp_path / "fit.json")
     again = Fit.load(tmp_path / "fit.json", model=type(fit.model))

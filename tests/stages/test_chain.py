@@ -1,6 +1,7 @@
 """The stages up to output error as one estimator."""
 
 import numpy as np
+import pytest
 from truths.closed_roll import TRUTH, noisy
 from truths.systems import campaign
 
@@ -16,6 +17,7 @@ def test_settings_of_the_chain_are_values_of_its_stages():
     ]  # fmt: skip
 
 
+@pytest.mark.second
 def test_many_fits_share_one_black_box():
     own = Pbsid(order=5, pole=6.0, past=10, feedthrough=["z"])
     records = campaign()

@@ -96,6 +96,7 @@ def test_how_much_likelier_steps_are_is_what_a_fit_of_initial_states_and_biases_
 
 
 @pytest.mark.parametrize("domain", ["time", "frequency"])
+@pytest.mark.second
 def test_responses_say_nothing_of_how_records_hold_their_inputs(domain):
     omega = np.geomspace(0.5, 10.0, 12)
     G = TRUTH.system().response(omega)

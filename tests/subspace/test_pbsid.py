@@ -250,6 +250,7 @@ def test_a_record_of_which_nothing_is_used_is_named():
         pbsid([records[0], replace(records[1], y=y)], order=5, past=8, pole=6.0)
 
 
+@pytest.mark.second
 def test_an_unstable_pole_near_the_laguerre_pole_warns():
     fast = StateSpace([[1.5]], [[1.0]], [[1.0]], [[0.0]])
     rng = np.random.default_rng(0)
