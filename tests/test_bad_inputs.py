@@ -27,7 +27,6 @@ def test_the_study_that_is_spoilt_is_in_order(sound):
 
 
 @pytest.mark.parametrize("name", CORPUS, ids=lambda name: name.replace(" ", "-"))
-@pytest.mark.second
 def test_a_bad_input_gives_code_two_and_names_culprit_and_remedy(
     name, sound, tmp_path, monkeypatch
 ):

@@ -110,7 +110,6 @@ STUDY_MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", STUDY_MISTAKES, ids=lambda name: name.replace(" ", "-"))
-@pytest.mark.second
 def test_a_mistake_in_the_study_gives_code_two_and_names_the_culprit(mistake, tmp_path):
     change, words = STUDY_MISTAKES[mistake]
     result = casid("identify", write_study(tmp_path, change))
