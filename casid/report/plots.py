@@ -293,7 +293,7 @@ def _(value: Distances, ax: Any) -> Any:  # noqa: ANN401
 
 @_draw.register
 def _(value: OrderSelection, ax: Any) -> Any:  # noqa: ANN401
-    return as_given(ax, plot_order_selection(new_axes(ax, 2, 1, height=2.2), value))
+    return as_given(ax, plot_order_selection(new_axes(ax, 1, 2, height=2.6), value))
 
 
 @_draw.register

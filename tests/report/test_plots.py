@@ -157,3 +157,10 @@ def test_what_a_backend_sets_when_it_is_loaded_outlasts_the_first_figure(tmp_pat
     path = os.pathsep.join([str(tmp_path), *sys.path])
     own = os.environ | {"MPLBACKEND": "module://like_notebooks", "PYTHONPATH": path}
     subprocess.run([sys.executable, "-c", program], check=True, env=own, timeout=100)
+
+
+def test_scores_and_singular_values_have_axes_of_their_own():
+    scores, singular = values()["OrderSelection"].plot()
+    assert scores.get_position().y0 == singular.get_position().y0
+    assert not scores.get_shared_x_axes().joined(scores, singular)
+    assert (scores.get_xlabel(), singular.get_xlabel()) == ("order [-]", "index [-]")
