@@ -17,17 +17,15 @@ import scipy
 from casid.arrays import Array, ComplexArray
 from casid.checks import check_level
 from casid.display import Shown, counted
-from casid.eigenmodes import Mode, deviations, may_meet, modes, pole_figures
+from casid.eigenmodes import SAMPLES, Mode, deviations, may_meet, modes, pole_figures
 from casid.embedding import StructureError, missed_quantile, missed_square
 from casid.fit import AnyFit
 from casid.model import Model
 from casid.propagation import drawn_models, first_order, known_errors, spread
 from casid.threads import one_thread
 
-NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
 EQUAL = 1e-4  # distance of poles, relative to them, that is that of rounding in a multiple one
 SAME = np.e - 1  # share of a pole within which a black box's is the same mode
-SAMPLES = 1000  # of poles that may: a standard deviation is known to 2 %
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -209,7 +207,7 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
         return np.vstack([*pole_figures(pole), np.subtract.outer(pole.real, pole.real)])
 
     std = first_order(fit, of, names, C)
-    if (near := may_meet(poles, std[1], std[4:], NEAR)).any():
+    if (near := may_meet(poles, std[1], std[4:])).any():
         drawn = drawn_models(fit, names, C, SAMPLES, 0)
         off = deviations([model.system().A for model in drawn], poles)
         # Real ones of which no draw made a pair only pass each other.

@@ -16,6 +16,8 @@ from casid.linear import StateSpace
 
 OSCILLATES = 1e-6  # imaginary part, relative to the modulus, that counts as an oscillation
 SEEN = 1e-8  # smallest singular value of the Hautus matrix, relative, of a mode that is seen
+NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
+SAMPLES = 1000  # of what makes poles that may: a standard deviation is known to 2 %
 NORMAL = 1.959964  # standard deviations of a normal number that hold 95 % of it
 CLEAR = 0.6  # share of the states of one kind above which a mode is theirs
 
@@ -92,16 +94,16 @@ def pole_figures(pole: ComplexArray) -> Array:
     return np.array([pole.real, pole.imag, size, -pole.real / size])
 
 
-def may_meet(poles: ComplexArray, imag_std: Array, gap_std: Array, near: float) -> BoolArray:
+def may_meet(poles: ComplexArray, imag_std: Array, gap_std: Array) -> BoolArray:
     """Which modes' poles (n,) may be real for a pair, or a pair for two real ones.
 
-    Closer to each other than ``near`` standard errors: of imaginary parts (n,), and of the gaps
+    Closer to each other than `NEAR` standard errors: of imaginary parts (n,), and of the gaps
     between real parts (n, n).
     """
     real = np.abs(poles.imag) <= OSCILLATES * np.abs(poles)
     gap = np.abs(np.subtract.outer(poles.real, poles.real))
-    pairs = (gap < near * gap_std) & real & real[:, None]
-    return np.asarray(np.where(real, pairs.any(axis=0), poles.imag < near * imag_std))
+    pairs = (gap < NEAR * gap_std) & real & real[:, None]
+    return np.asarray(np.where(real, pairs.any(axis=0), poles.imag < NEAR * imag_std))
 
 
 def deviations(matrices: Sequence[Array], poles: ComplexArray) -> Array:

@@ -16,6 +16,7 @@ vibration, lines in its spectrum, is no noise and does not walk.
 from collections.abc import Mapping
 
 import numpy as np
+import scipy
 
 from casid.arrays import Array
 from casid.consistency.innovations import BAND
@@ -30,8 +31,7 @@ UPPER = 0.5  # of all frequencies, of which noise is read where they end below t
 
 def cosine_powers(x: Array) -> Array:
     """Squares (N − 1,) of the orthonormal cosine transform of x (N,), but for its mean."""
-    found = np.fft.rfft(np.concatenate([x, x[::-1]]))[1 : len(x)]
-    return np.asarray(np.abs(found) ** 2 / (2 * len(x)))
+    return np.asarray(scipy.fft.dct(x, norm="ortho")[1:] ** 2)
 
 
 def walk_powers(n: int) -> Array:

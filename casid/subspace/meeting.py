@@ -17,12 +17,10 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, ComplexArray
-from casid.eigenmodes import deviations
+from casid.eigenmodes import NEAR, SAMPLES, deviations
 from casid.subspace.modal import Modal
 
-NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
 AGAINST = 0.5  # of the error of their gap: that of the sum of two that noise parts, at most
-SAMPLES = 1000  # of coefficients: a standard deviation is known to 2 %
 PAIR, REAL = 0.005, 0.015  # of their modulus: half the distance of poles that rounding lets tell
 
 
@@ -94,8 +92,7 @@ def _drawn(lam: ComplexArray, around: ComplexArray, factor: ComplexArray) -> lis
         np.concatenate([each, each[pair].conj()]) for each in (lam, around, factor)
     )
     slopes = np.array([-np.poly(np.delete(near, k)) for k in range(len(near))])
-    root, one = (slopes.T @ steps).real, np.eye(len(near))
+    root = (slopes.T @ steps).real
     z = np.random.default_rng(0).standard_normal((root.shape[1], SAMPLES))
     coefficients = np.poly(every)[1:].real[:, None] + root @ z
-    shift = np.eye(len(near), k=-1)
-    return [shift - np.outer(own, one[-1]) for own in coefficients.T[:, ::-1]]
+    return [scipy.linalg.companion([1.0, *own]) for own in coefficients.T]
