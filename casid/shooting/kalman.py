@@ -18,6 +18,7 @@ the algebraic Riccati equation, dP to that of its Lyapunov equation; from there 
 samples (R. V. Jategaonkar, Flight Vehicle System Identification, ch. 5, has that gain alone).
 Missing samples, several rates and irregular sampling need nothing more. What drives dP follows from
 P alone, all samples at once; derivatives are not computed where only a likelihood is wanted.
+`casid.shooting.riccati` has P, many samples at once where they are alike.
 """
 
 from collections.abc import Sequence
@@ -30,11 +31,12 @@ from casid.intersample import integral_slopes
 from casid.record import Record
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
+from casid.shooting.riccati import Step
 from casid.shooting.stepping import interpolation, octaves
 from casid.shooting.unknowns import FilterMatrices
 
 SETTLED = 1e-11  # change of P over a step, relative, that ends its recursion
-OFTEN = 8  # samples after which that is looked at
+OFTEN = 8  # samples after which that is looked at, a divisor of `MANY`
 EARLIER = 2.0  # s, since when filters run
 SHARES = 0.01, 0.5  # of the longest record: the least and the most of that, in any unit of time
 ROWS = 64  # of the tables whose derivatives are made at once: they stay in the cache
@@ -121,40 +123,47 @@ class _Recursion:
     def run(self, kinds: np.ndarray) -> np.ndarray:
         """Row of the tables for every sample of a record; ``kinds`` (N, 2) are step and pattern."""
         done = sum(len(K) for K, *_ in self._tables)
-        rows: list[tuple[Array, ...]] = []
-        P: Array = np.zeros_like(self._m.A)  # before the record all channels are measured
-        for _ in range(round(np.median(self._early[kinds[:, 0]]))):
-            before, P = P, self._advance(P, np.array([kinds[0, 0], 0]), rows)
-            if self._settled(before, P):
-                break
-        early, settled, which = len(rows), False, np.empty(len(kinds), dtype=int)
-        same = np.append(False, (kinds[1:] == kinds[:-1]).all(axis=1)).tolist()
-        for k, kind in enumerate(kinds):
-            if not (settled and same[k]):
-                before, P = P, self._advance(P, kind, rows)
-                settled = k % OFTEN == 0 and self._settled(before, P)
-            which[k] = done + len(rows) - early - 1
-        kind, P, K, S = (np.array(part) for part in zip(*rows, strict=True))
-        tables = (K, S, self._patterns[kind[:, 1]], *self._slopes(kind, P, K, S))
+        first = np.array([kinds[0, 0], 0])  # before the record all channels are measured
+        earlier = round(np.median(self._early[kinds[:, 0]]))
+        before, P = self._carried(np.zeros_like(self._m.A), first, earlier)
+        parts, early, row = [(first, before)], len(before), done
+        which = np.empty(len(kinds), dtype=int)
+        starts = np.flatnonzero(np.append(True, (kinds[1:] != kinds[:-1]).any(axis=1)))
+        for start, end in zip(starts, np.append(starts[1:], len(kinds)), strict=True):
+            before, P = self._carried(P, kinds[start], end - start)
+            which[start:end] = row + np.minimum(np.arange(end - start), len(before) - 1)
+            row += len(before)
+            parts.append((kinds[start], before))
+        each = np.repeat([kind for kind, _ in parts], [len(part) for _, part in parts], axis=0)
+        P = np.concatenate([part for _, part in parts])
+        K, S = self._step(each).gain(P)
+        tables = (K, S, self._patterns[each[:, 1]], *self._slopes(each, P, K, S))
         self._tables.append(tuple(table[early:] for table in tables))
         return which
+
+    def _carried(self, P: Array, kind: np.ndarray, count: int) -> tuple[Array, Array]:
+        """P before so many samples of a kind, or before those until it stays; and behind these."""
+        found = [P[None]]
+        for more in self._step(kind).repeated(P, count):
+            chain = np.concatenate([found[-1][-1:], more])
+            for k in range(0, len(more) if count > 1 else 0, OFTEN):
+                if self._settled(chain[k], chain[k + 1]):
+                    return np.concatenate([*found, more[:k]]), more[k]
+            found.append(more)
+        behind = found[-1][-1]
+        return np.concatenate(found)[:-1], behind
 
     def _settled(self, before: Array, after: Array) -> bool:
         """Whether P stays as it is, and its derivatives: of P = 0, without noise, they need not."""
         return _alike(before, after) and bool(after.any() or not len(self._moving))
 
-    def _advance(self, P: Array, kind: np.ndarray, rows: list[tuple[Array, ...]]) -> Array:
-        """P one step on; kind, P, K and S of the sample are added to the rows."""
-        step, seen = kind[0], self._patterns[kind[1]]
-        C, R = self._m.C * seen[:, None], self._m.R * (seen & seen[:, None])
-        A, Q = self._moves.A[step], self._moves.Q[step]
-        CP = C @ P
-        S = CP @ C.T + R + np.diag(~seen)
-        K = np.linalg.solve(S, CP @ A.T).T
-        rows.append((kind, P, K, S))
-        F = A - K @ C
-        ahead = F @ P @ F.T + K @ R @ K.T + Q
-        return np.asarray(ahead + ahead.T) / 2
+    def _step(self, kind: np.ndarray) -> Step:
+        """The steps of kinds (..., 2)."""
+        m, seen = self._m, self._patterns[kind[..., 1]]
+        both = seen[..., :, None] & seen[..., None, :]
+        R = np.where(both, m.R, np.eye(len(m.R)) * ~seen[..., None])
+        step = kind[..., 0]
+        return Step(self._moves.A[step], self._moves.Q[step], m.C * seen[..., None], R)
 
     def gains(self, which: np.ndarray) -> Gains:
         """The tables, with derivatives by all unknowns."""

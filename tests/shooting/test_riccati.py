@@ -1,0 +1,110 @@
+"""Covariances of many steps at once against a filter written out, and a Riccati solver."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from casid.shooting.riccati import MANY, Powers, Step
+
+
+def some_step(nx=4, ny=3, noise=1.0, seed=0):
+    """An unstable aircraft of some states in units of very different size, some of them driven."""
+    rng = np.random.default_rng(seed)
+    size = 10.0 ** rng.uniform(-3, 3, nx)
+    A = np.eye(nx) + 0.1 * rng.standard_normal((nx, nx))
+    driven = np.diag([1.0, 0.0] * (nx // 2))
+    C = rng.standard_normal((ny, nx)) / size
+    Q = driven * size**2 * 1e-2
+    return Step(A * size[:, None] / size, Q, C, noise * np.diag(rng.uniform(0.1, 1, ny)))
+
+
+def written_out(step, P, count):
+    """Channel by channel, then prediction, in Joseph's form and 64 bits of mantissa."""
+    found, P = [], P.astype(np.longdouble)
+    A, Q, C = (each.astype(np.longdouble) for each in (step.A, step.Q, step.C))
+    for _ in range(count):
+        for row, r in zip(C, np.diag(step.R), strict=True):
+            gain = P @ row / (row @ P @ row + r)
+            left = np.eye(len(A)) - np.outer(gain, row)
+            P = left @ P @ left.T + r * np.outer(gain, gain)
+        P = A @ P @ A.T + Q
+        P = (P + P.T) / 2
+        found.append(P.astype(float))
+    return np.array(found)
+
+
+def close(found, wanted, tolerance):
+    size = np.sqrt(np.einsum("kii->ki", wanted))
+    size[size == 0] = 1.0
+    off = (found - wanted) / (size[:, :, None] * size[:, None])
+    assert np.abs(off).max() < tolerance
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("start", ["nothing", "much"])
+def test_many_steps_are_those_of_a_filter_written_out(start, noise):
+    step = some_step(noise=noise, seed=1)
+    P = np.zeros((4, 4)) if start == "nothing" else 1e2 * np.diag(np.diag(step.Q) + 1e-3)
+    count = 3 * MANY + 7
+    found = np.concatenate(list(step.repeated(P, count)))
+    assert found.shape == (count, 4, 4)
+    close(found, written_out(step, P, count), 1e-10)
+
+
+def test_in_the_end_they_are_the_solution_of_the_riccati_equation():
+    step = some_step(seed=3)
+    *_, last = step.repeated(np.zeros((4, 4)), 40 * MANY)
+    wanted = scipy.linalg.solve_discrete_are(step.A.T, step.C.T, step.Q, step.R)
+    close(last[-1:], wanted[None], 1e-8)
+
+
+def test_powers_are_the_steps_taken_one_after_the_other():
+    step = some_step(seed=5)
+    powers = Powers.of(step)
+    assert len(powers.J) == MANY
+    found = powers.after(step, step.Q)
+    close(found, written_out(step, step.Q, MANY), 1e-9)
+    # The map over k steps without any sensor is that of the states alone.
+    blind = Powers.of(replace(step, C=0 * step.C))
+    k = 10
+    np.testing.assert_allclose(blind.Phi[k - 1], np.linalg.matrix_power(step.A, k), rtol=1e-10)
+    assert not blind.J.any()
+
+
+def test_a_missing_channel_is_none():
+    whole = some_step(seed=2)
+    without = Step(whole.A, whole.Q, whole.C[:2], whole.R[:2, :2])
+    seen = np.array([1.0, 1.0, 0.0])
+    masked = replace(whole, C=whole.C * seen[:, None], R=whole.R * seen + np.diag(1 - seen))
+    P = np.concatenate(list(masked.repeated(whole.Q, 2 * MANY)))
+    close(P, np.concatenate(list(without.repeated(whole.Q, 2 * MANY))), 1e-9)
+    K, S = masked.gain(P)
+    assert not K[..., 2].any()
+    assert (S[:, 2, 2] == 1).all()
+
+
+@pytest.mark.parametrize("noise", [1e-30, 0.0])
+def test_where_sensors_are_exact_steps_are_taken_one_by_one(noise):
+    step = some_step(nx=2, ny=1, noise=noise)
+    powers = Powers.of(step)
+    P = np.diag([1.0, 2.0])
+    assert powers is None or powers.after(step, P) is None
+    found = np.concatenate(list(step.repeated(P, MANY)))
+    one = P
+    for k in range(MANY):
+        one = step.ahead(one)
+        np.testing.assert_array_equal(found[k], one)
+
+
+def test_gains_of_several_steps_are_those_of_each():
+    steps = [some_step(seed=seed) for seed in (1, 2)]
+    both = Step(*(np.stack([getattr(step, name) for step in steps]) for name in "AQCR"))
+    P = np.stack([step.Q for step in steps])
+    K, S = both.gain(P)
+    for k, step in enumerate(steps):
+        wanted = step.C @ step.Q @ step.C.T + step.R
+        np.testing.assert_allclose(S[k], wanted, rtol=1e-12)
+        gain = step.A @ step.Q @ step.C.T @ np.linalg.inv(wanted)
+        np.testing.assert_allclose(K[k], gain, rtol=1e-8)
