@@ -74,9 +74,16 @@ class NumPyFunction(ca.Callback):
     def eval_buffer(
         self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]
     ) -> int:
-        """Evaluate in CasADi's memory; None where it wants no result."""
+        """Evaluate in CasADi's memory; None where it wants no result.
+
+        Where a matrix is singular there is no value: NaN, from which solvers step back.
+        """
         values = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arguments]
-        for target, value in zip(results, self._function(*values), strict=True):
+        try:
+            found = self._function(*values)
+        except np.linalg.LinAlgError:
+            found = [np.nan] * len(results)
+        for target, value in zip(results, found, strict=True):
             if target is not None:
                 np.frombuffer(target)[:] = value
         return 0

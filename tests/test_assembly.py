@@ -4,7 +4,9 @@ import casadi as ca
 import numpy as np
 import scipy.sparse
 
-from casid.assembly import NumPyFunction, Pattern, grid, stack, upper_triangle
+from casid import SolverOptions
+from casid.assembly import NumPyFunction, Pattern, evaluated, grid, stack, upper_triangle
+from casid.nlp import solve
 
 RNG = np.random.default_rng(4)
 
@@ -45,3 +47,33 @@ def test_casadi_calls_numpy_and_leaves_out_what_it_does_not_want():
     x = ca.MX.sym("x", 2)
     only = ca.Function("only", [x], [f(x, ca.DM([1, 1]))[1]])
     assert float(only([5, 6])) == 11
+
+
+class _Hyperbola:
+    """x + 1/x, whose value is lost in a singular matrix where x < 0: Newton's step from 3 is -12."""
+
+    def cost(self, x):
+        if x[0] <= 0:
+            np.linalg.solve(np.zeros((1, 1)), np.ones(1))
+        return x[0] + 1 / x[0]
+
+    def gradient(self, x):
+        return 1 - 1 / x**2
+
+    def constraints(self, _):
+        return np.zeros(0)
+
+    jacobian = constraints
+
+    def hessian(self, x, f, _):
+        return f * 2 / x**3
+
+
+def test_where_a_matrix_is_singular_ipopt_steps_back_without_a_word(capfd):
+    nothing, one = ca.Sparsity(0, 1), ca.Sparsity.dense(1)
+    limits = np.array([3.0]), np.array([-20.0]), np.array([20.0])
+    problem = evaluated(_Hyperbola(), limits, (np.zeros(0), np.zeros(0)), nothing, one)
+    found = solve(problem, SolverOptions(), stage="hyperbola")
+    assert found.success
+    np.testing.assert_allclose(found.x, 1.0, atol=1e-6)
+    assert capfd.readouterr() == ("", "")
