@@ -50,7 +50,7 @@ def test_casadi_calls_numpy_and_leaves_out_what_it_does_not_want():
 
 
 class _Hyperbola:
-    """x + 1/x, whose value is lost in a singular matrix where x < 0: Newton's step from 3 is -12."""
+    """x + 1/x, lost in a singular matrix where x < 0: Newton's step from 3 is -12."""
 
     def cost(self, x):
         if x[0] <= 0:

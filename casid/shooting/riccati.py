@@ -21,7 +21,7 @@ import numpy as np
 
 from casid.arrays import Array
 
-MANY = 64
+FEW, MANY = 8, 64
 NEAR = 1e-9  # of the standard deviations, at most: what Joseph's form may mend
 
 
@@ -49,10 +49,10 @@ class Step:
 
     def repeated(self, P: Array, count: int) -> Iterator[Array]:
         """P (nx, nx) behind each of so many samples, MANY at a time."""
-        powers = Powers.of(self) if count >= MANY else None
+        powers = Powers.of(self, count) if count >= FEW else None
         while count:
             many = min(count, MANY)
-            found = None if powers is None or many < MANY else powers.after(self, P)
+            found = None if powers is None or many < FEW else powers.after(self, P, many)
             if found is None:
                 one, found = P, np.empty((many, *P.shape))
                 for k in range(many):
@@ -63,22 +63,22 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Powers:
-    """Φ, Θ and J over 1 ... MANY steps (MANY, nx, nx)."""
+    """Φ, Θ and J over 1, 2, ... steps (n, nx, nx)."""
 
     Phi: Array
     Theta: Array
     J: Array
 
     @classmethod
-    def of(cls, step: Step) -> "Powers | None":
-        """Those of a step; None where R has no inverse."""
+    def of(cls, step: Step, count: int) -> "Powers | None":
+        """Over so many steps, but no more than MANY; None where R has no inverse."""
         try:
             J = step.C.T @ np.linalg.solve(step.R, step.C)
         except np.linalg.LinAlgError:
             return None
         found = cls(step.A[None], step.Q[None], J[None])
         with np.errstate(all="ignore"):  # told by `after`
-            while len(found.J) < MANY:
+            while len(found.J) < min(count, MANY):
                 found = found.doubled()
         return found
 
@@ -94,14 +94,15 @@ class Powers:
             np.concatenate([self.J, self.J + _turned(self.Phi) @ J @ by_Phi]),
         )
 
-    def after(self, step: Step, P: Array) -> Array | None:
-        """P (MANY, nx, nx) behind 1 ... MANY steps; None where too few digits would be left."""
+    def after(self, step: Step, P: Array, count: int) -> Array | None:
+        """P (count, nx, nx) behind the first of them; None where too few digits would be left."""
+        Phi, Theta, J = self.Phi[:count], self.Theta[:count], self.J[:count]
         with np.errstate(all="ignore"):
             try:
-                held = np.linalg.solve(np.eye(len(P)) + P @ self.J, P)
+                held = np.linalg.solve(np.eye(len(P)) + P @ J, P)
             except np.linalg.LinAlgError:
                 return None
-            rough = self.Theta + self.Phi @ held @ _turned(self.Phi)
+            rough = Theta + Phi @ held @ _turned(Phi)
             found = step.ahead(np.concatenate([P[None], rough[:-1]]))
             size = np.sqrt(np.maximum(np.einsum("kii->ki", found), 0.0))
             size[size == 0] = 1.0

@@ -44,10 +44,10 @@ def close(found, wanted, tolerance):
 
 @pytest.mark.parametrize("noise", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("start", ["nothing", "much"])
-def test_many_steps_are_those_of_a_filter_written_out(start, noise):
+@pytest.mark.parametrize("count", [5, 21, 3 * MANY + 7])
+def test_many_steps_are_those_of_a_filter_written_out(count, start, noise):
     step = some_step(noise=noise, seed=1)
     P = np.zeros((4, 4)) if start == "nothing" else 1e2 * np.diag(np.diag(step.Q) + 1e-3)
-    count = 3 * MANY + 7
     found = np.concatenate(list(step.repeated(P, count)))
     assert found.shape == (count, 4, 4)
     close(found, written_out(step, P, count), 1e-10)
@@ -62,12 +62,12 @@ def test_in_the_end_they_are_the_solution_of_the_riccati_equation():
 
 def test_powers_are_the_steps_taken_one_after_the_other():
     step = some_step(seed=5)
-    powers = Powers.of(step)
+    powers = Powers.of(step, 1000)
     assert len(powers.J) == MANY
-    found = powers.after(step, step.Q)
+    found = powers.after(step, step.Q, MANY)
     close(found, written_out(step, step.Q, MANY), 1e-9)
     # The map over k steps without any sensor is that of the states alone.
-    blind = Powers.of(replace(step, C=0 * step.C))
+    blind = Powers.of(replace(step, C=0 * step.C), MANY)
     k = 10
     np.testing.assert_allclose(blind.Phi[k - 1], np.linalg.matrix_power(step.A, k), rtol=1e-10)
     assert not blind.J.any()
@@ -88,9 +88,9 @@ def test_a_missing_channel_is_none():
 @pytest.mark.parametrize("noise", [1e-30, 0.0])
 def test_where_sensors_are_exact_steps_are_taken_one_by_one(noise):
     step = some_step(nx=2, ny=1, noise=noise)
-    powers = Powers.of(step)
+    powers = Powers.of(step, MANY)
     P = np.diag([1.0, 2.0])
-    assert powers is None or powers.after(step, P) is None
+    assert powers is None or powers.after(step, P, MANY) is None
     found = np.concatenate(list(step.repeated(P, MANY)))
     one = P
     for k in range(MANY):
