@@ -10,6 +10,8 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array
+from casid.display import listed
+from casid.errors import warn
 from casid.free import Free
 from casid.intersample import integrals
 from casid.model import Model
@@ -24,6 +26,7 @@ ProcessNoise: TypeAlias = bool | Literal["gain"] | Array | BlackBox
 
 NOISE_SHARE = 0.1  # of an output's root mean square, taken for its measurement noise
 NOTICED = 0.1  # rise of an output's innovations, over their variance
+LOST = 0.1  # of an output's samples at irregular distances, from which one gain is told to be wrong
 SMALL = 1e-2  # unit of a measurement noise, of its variance at the start
 
 
@@ -53,6 +56,28 @@ def check_gain(model: Model, process_noise: ProcessNoise) -> None:
         raise ValueError(f"process_noise has shape {gain.shape}, expected K (nx, ny) = {shape}")
     if not np.isfinite(gain).all():
         raise ValueError("process_noise: expected a gain K of finite numbers, without NaN")
+
+
+def tell_of_lost_samples(records: list[Record]) -> None:
+    """Warn of outputs with irregular gaps, which one gain for all samples does not suit.
+
+    What a filter knows after a gap is worse than after a sample, so innovations there want another
+    gain, and its errors are stated as if they did not.
+    """
+    irregular = {}
+    for i, name in enumerate(records[0].outputs):
+        steps = [np.diff(np.flatnonzero(np.isfinite(record.y[:, i]))) for record in records]
+        odd = [each != np.median(each) for each in steps if len(each)]
+        if odd and (share := float(np.mean(np.concatenate(odd)))) > LOST:
+            irregular[name] = share
+    if irregular:
+        worst = max(irregular.values())
+        warn(
+            f"samples of {listed([*irregular])} are lost at random ({worst:.0%} of the distances "
+            "between samples are not the usual one): one gain serves all samples, which is not the "
+            "best after a gap, and standard errors come out too small; process_noise=True has "
+            "a gain for every gap"
+        )
 
 
 def starting_noises(

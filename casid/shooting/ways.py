@@ -17,7 +17,7 @@ from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.shooting.delays import heard, warn_of_jumps
-from casid.shooting.innovation import ProcessNoise, filter_unknowns
+from casid.shooting.innovation import ProcessNoise, filter_unknowns, tell_of_lost_samples
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.newton import MEET
@@ -115,6 +115,8 @@ class Ways:
         more = filter_unknowns(self.free, self.records, process_noise, self.R)
         if more is None:
             return self.output_error()
+        if isinstance(more, GainUnknowns):
+            tell_of_lost_samples(self.records)
         if isinstance(more, GainUnknowns) and not more.free:
             return self._searched(
                 Search(self.free, self.options, self.steps), self._evaluator(more)

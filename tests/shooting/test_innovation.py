@@ -8,7 +8,7 @@ import scipy.linalg
 from truths.closed_roll import TRUTH, flown
 from truths.systems import known_black_box
 
-from casid import Model, Record, Rows, Scalar, parameter
+from casid import DataWarning, Model, Record, Rows, Scalar, parameter
 from casid.exchange.delays import without_delay
 from casid.free import free_parameters
 from casid.shooting.innovation import (
@@ -17,6 +17,7 @@ from casid.shooting.innovation import (
     filter_unknowns,
     kalman_gain,
     starting_noises,
+    tell_of_lost_samples,
 )
 from casid.shooting.kalman import settling_time
 from casid.shooting.starting import SURPRISE
@@ -101,3 +102,12 @@ def test_what_is_asked_for_decides_gain_and_freedom():
     sampled = replace(known_black_box(TRUTH.system()), system=replace(TRUTH.system(), dt=0.02))
     with pytest.raises(ValueError, match="this black box is discrete"):
         filter_unknowns(free, records, sampled, "diagonal")
+
+
+def test_one_gain_is_told_not_to_suit_samples_lost_at_random_but_slower_sources():
+    record = flown(seed=1)
+    slower = np.arange(record.N)[:, None] % np.array([1, 2, 5]) > 0
+    tell_of_lost_samples([record.mask(slower), record])
+    lost = slower | (np.random.default_rng(1).random(record.y.shape) < [0.03, 0.2, 0.02])
+    with pytest.warns(DataWarning, match=rf"samples of {record.outputs[1]} are lost at random"):
+        tell_of_lost_samples([record.mask(lost)])
