@@ -124,46 +124,49 @@ class _Recursion:
         """Row of the tables for every sample of a record; ``kinds`` (N, 2) are step and pattern."""
         done = sum(len(K) for K, *_ in self._tables)
         first = np.array([kinds[0, 0], 0])  # before the record all channels are measured
+        unlike, number = np.unique([first, *kinds], axis=0, return_inverse=True)
+        steps = self._steps(unlike).apart()
         earlier = round(np.median(self._early[kinds[:, 0]]))
-        before, P = self._carried(np.zeros_like(self._m.A), first, earlier)
-        parts, early, row = [(first, before)], len(before), done
-        which = np.empty(len(kinds), dtype=int)
-        starts = np.flatnonzero(np.append(True, (kinds[1:] != kinds[:-1]).any(axis=1)))
+        before, P = self._carried(np.zeros_like(self._m.A), steps[number[0]], earlier)
+        parts, which_step = [before], [np.full(len(before), number[0])]
+        early, row, which = len(before), done, np.empty(len(kinds), dtype=int)
+        starts = np.flatnonzero(np.append(True, number[2:] != number[1:-1]))
         for start, end in zip(starts, np.append(starts[1:], len(kinds)), strict=True):
-            before, P = self._carried(P, kinds[start], end - start)
+            mine = number[1 + start]
+            before, P = self._carried(P, steps[mine], end - start)
             which[start:end] = row + np.minimum(np.arange(end - start), len(before) - 1)
             row += len(before)
-            parts.append((kinds[start], before))
-        each = np.repeat([kind for kind, _ in parts], [len(part) for _, part in parts], axis=0)
-        P = np.concatenate([part for _, part in parts])
-        K, S = self._step(each).gain(P)
+            parts.append(before)
+            which_step.append(np.full(len(before), mine))
+        each, P = unlike[np.concatenate(which_step)], np.concatenate(parts)
+        K, S = self._steps(each).gain(P)
         tables = (K, S, self._patterns[each[:, 1]], *self._slopes(each, P, K, S))
         self._tables.append(tuple(table[early:] for table in tables))
         return which
 
-    def _carried(self, P: Array, kind: np.ndarray, count: int) -> tuple[Array, Array]:
-        """P before so many samples of a kind, or before those until it stays; and behind these."""
+    def _carried(self, P: Array, step: Step, count: int) -> tuple[Array, Array]:
+        """P before so many samples alike, or before those until it stays; and behind these."""
+        if count == 1:
+            return P[None], step.ahead(P)
         found = [P[None]]
-        for more in self._step(kind).repeated(P, count):
+        for more in step.repeated(P, count):
             chain = np.concatenate([found[-1][-1:], more])
-            for k in range(0, len(more) if count > 1 else 0, OFTEN):
+            for k in range(0, len(more), OFTEN):
                 if self._settled(chain[k], chain[k + 1]):
                     return np.concatenate([*found, more[:k]]), more[k]
             found.append(more)
-        behind = found[-1][-1]
-        return np.concatenate(found)[:-1], behind
+        return np.concatenate(found)[:-1], found[-1][-1]
 
     def _settled(self, before: Array, after: Array) -> bool:
         """Whether P stays as it is, and its derivatives: of P = 0, without noise, they need not."""
         return _alike(before, after) and bool(after.any() or not len(self._moving))
 
-    def _step(self, kind: np.ndarray) -> Step:
-        """The steps of kinds (..., 2)."""
-        m, seen = self._m, self._patterns[kind[..., 1]]
-        both = seen[..., :, None] & seen[..., None, :]
-        R = np.where(both, m.R, np.eye(len(m.R)) * ~seen[..., None])
-        step = kind[..., 0]
-        return Step(self._moves.A[step], self._moves.Q[step], m.C * seen[..., None], R)
+    def _steps(self, kinds: np.ndarray) -> Step:
+        """The steps of kinds (g, 2)."""
+        m, seen, step = self._m, self._patterns[kinds[:, 1]], kinds[:, 0]
+        both = seen[:, :, None] & seen[:, None, :]
+        R = np.where(both, m.R, np.eye(len(m.R)) * ~seen[:, None])
+        return Step(self._moves.A[step], self._moves.Q[step], m.C * seen[:, :, None], R)
 
     def gains(self, which: np.ndarray) -> Gains:
         """The tables, with derivatives by all unknowns."""

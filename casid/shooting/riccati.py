@@ -34,6 +34,10 @@ class Step:
     C: Array  # (..., ny, nx), 0 of a channel that is missing
     R: Array  # (..., ny, ny), 1 alone on the diagonal there
 
+    def apart(self) -> "list[Step]":
+        """Each of several (g) alone."""
+        return [Step(*each) for each in zip(self.A, self.Q, self.C, self.R, strict=True)]
+
     def gain(self, P: Array) -> tuple[Array, Array]:
         """K (..., nx, ny) and S (..., ny, ny) from P (..., nx, nx) before the sample."""
         CP = self.C @ P
