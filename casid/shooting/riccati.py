@@ -78,12 +78,12 @@ class Powers:
         """Over so many steps, but no more than MANY; None where R has no inverse."""
         try:
             J = step.C.T @ np.linalg.solve(step.R, step.C)
+            found = cls(step.A[None], step.Q[None], J[None])
+            with np.errstate(all="ignore"):  # told by `after`
+                while len(found.J) < min(count, MANY):
+                    found = found.doubled()
         except np.linalg.LinAlgError:
             return None
-        found = cls(step.A[None], step.Q[None], J[None])
-        with np.errstate(all="ignore"):  # told by `after`
-            while len(found.J) < min(count, MANY):
-                found = found.doubled()
         return found
 
     def doubled(self) -> "Powers":
@@ -108,8 +108,8 @@ class Powers:
                 return None
             rough = Theta + Phi @ held @ _turned(Phi)
             found = step.ahead(np.concatenate([P[None], rough[:-1]]))
-            size = np.sqrt(np.maximum(np.einsum("kii->ki", found), 0.0))
-            size[size == 0] = 1.0
+            size = np.sqrt(np.einsum("kii->ki", found))
+            size[size == 0] = 1.0  # what nothing drives
             off = np.abs(found - rough) / (size[:, :, None] * size[:, None])
         return found if off.max() <= NEAR else None  # NaN is not
 

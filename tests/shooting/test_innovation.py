@@ -1,5 +1,6 @@
 """Starts of the innovation gain against filters by other means."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import scipy.linalg
 from truths.closed_roll import TRUTH, flown
 from truths.systems import known_black_box
 
-from casid import DataWarning, Model, Record, Rows, Scalar, parameter
+from casid import DataWarning, Model, Record, Rows, Scalar, output_error, parameter
 from casid.exchange.delays import without_delay
 from casid.free import free_parameters
 from casid.shooting.innovation import (
@@ -111,3 +112,13 @@ def test_one_gain_is_told_not_to_suit_samples_lost_at_random_but_slower_sources(
     lost = slower | (np.random.default_rng(1).random(record.y.shape) < [0.03, 0.2, 0.02])
     with pytest.warns(DataWarning, match=rf"samples of {record.outputs[1]} are lost at random"):
         tell_of_lost_samples([record.mask(lost)])
+
+
+@pytest.mark.parametrize("noise", [np.zeros((3, 3)), False])
+def test_a_fit_by_one_gain_tells_of_lost_samples_and_output_error_does_not(noise):
+    record = flown(seed=1).between(0, 4)
+    lost = record.mask(np.random.default_rng(1).random(record.y.shape) < 0.2)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        output_error(TRUTH, [lost], process_noise=noise)
+    assert any("lost at random" in str(each.message) for each in told) == (noise is not False)

@@ -85,6 +85,32 @@ def test_a_missing_channel_is_none():
     assert (S[:, 2, 2] == 1).all()
 
 
+def test_digits_that_a_good_sensor_costs_are_mended():
+    step = some_step(noise=1e-6, seed=6)
+    P = 1e2 * np.diag(np.diag(step.Q) + 1e-3)
+    # Without the last step in Joseph's form 4e-10 are left.
+    close(Powers.of(step, MANY).after(step, P, MANY), written_out(step, P, MANY), 1e-11)
+
+
+def test_what_nothing_drives_has_no_variance_and_hinders_nothing():
+    step = some_step(seed=1)
+    A, Q = np.zeros((5, 5)), np.zeros((5, 5))
+    A[:4, :4], A[4, 4], Q[:4, :4] = step.A, 0.9, step.Q
+    more = Step(A, Q, np.column_stack([step.C, np.ones(3)]), step.R)
+    found = Powers.of(more, MANY).after(more, np.zeros((5, 5)), MANY)
+    close(found[:, :4, :4], written_out(step, np.zeros((4, 4)), MANY), 1e-10)
+    assert not found[:, 4].any()
+
+
+def test_where_too_few_digits_are_left_steps_are_taken_one_by_one():
+    step = some_step(noise=1e-6)
+    P = 1e2 * np.diag(np.diag(step.Q) + 1e-3)
+    assert Powers.of(step, MANY).after(step, P, MANY) is None
+    found = np.concatenate(list(step.repeated(P, MANY)))
+    np.testing.assert_array_equal(found[0], step.ahead(P))
+    np.testing.assert_array_equal(found[-1], step.ahead(found[-2]))
+
+
 @pytest.mark.parametrize("noise", [1e-30, 0.0])
 def test_where_sensors_are_exact_steps_are_taken_one_by_one(noise):
     step = some_step(nx=2, ny=1, noise=noise)
