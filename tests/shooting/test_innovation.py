@@ -114,6 +114,7 @@ def test_one_gain_is_told_not_to_suit_samples_lost_at_random_but_slower_sources(
         tell_of_lost_samples([record.mask(lost)])
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("noise", [np.zeros((3, 3)), False])
 def test_a_fit_by_one_gain_tells_of_lost_samples_and_output_error_does_not(noise):
     record = flown(seed=1).between(0, 4)
