@@ -181,6 +181,8 @@ def test_air_that_one_output_feels_is_told_beside_many_that_do_not():
     a, b = drawn[0]
     b = np.where([True, False, True], b, 0.0)  # theta is missing there
     assert not _uneven([a, b], names, ("a", "b"))
+    sure = [np.ones((20000, 3)), np.sqrt(1.8) * np.ones((20000, 3))]
+    assert not _uneven(sure, names, "ab")  # by no chance, but too little to matter
     assert "of q in b have 9 times" in _uneven(
         [np.ones((200, 3)), 3 * np.ones((200, 3))], names, "ab"
     )
