@@ -1,6 +1,6 @@
 """Names of the channels a rotorcraft usually has, and units of measurement."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from casid.checks import check_known
 
@@ -53,3 +53,9 @@ def units_of(stated: Mapping[str, str]) -> dict[str, str]:
     read_as = {unit: si for si, row in MEASURES.items() for unit in row if si != "1"}
     stated = {k: u for k, u in stated.items() if k not in CONTROLS or u not in PULSES}
     return UNITS | {name: read_as[unit] for name, unit in stated.items() if unit in read_as}
+
+
+def own_units(stated: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
+    """Those of channels of these names that stated units make others than names say."""
+    found = units_of(stated)
+    return {k: found[k] for k in stated if k in names and found.get(k) != UNITS.get(k)}

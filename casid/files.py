@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import factor_of, misnamed
+from casid.channels import factor_of, misnamed, own_units
 from casid.errors import warn
 from casid.limits import TABLE_BYTES, check_file
 from casid.matlab import read_variables
@@ -187,7 +187,8 @@ def build(
     u = np.column_stack([table[each] for each in inputs]) if inputs else np.zeros((len(y), 0))
     t = table[time] if isinstance(time, str) else time * np.arange(len(y))
     t, u, y = _complete(name, t, u, y, tuple(inputs), hold)
-    return Record(t, u, y, tuple(inputs), tuple(outputs), name, hold)
+    own = own_units(units or {}, (*inputs, *outputs))
+    return Record(t, u, y, tuple(inputs), tuple(outputs), name, hold, units=own)
 
 
 def _complete(

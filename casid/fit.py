@@ -1,7 +1,7 @@
 """The result of an estimation: the model with its estimates and what is known about them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -127,6 +127,8 @@ class Fit(Shown, Generic[M_co, N_co]):
         Length of the shooting intervals [s].
     state_biases : (records, n) array or None
         Constants in the equations of the states that were to have one, one row a record.
+    units : mapping
+        `Record.units`, if it was estimated from records or by a study.
     """
 
     model: M_co
@@ -148,6 +150,7 @@ class Fit(Shown, Generic[M_co, N_co]):
     biases: Array | None = None
     interval: float | None = None
     state_biases: Array | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def headline(self) -> str:
         """Structure, method, outcome."""
@@ -243,6 +246,7 @@ NUMERIC = tuple(each.name for each in fields(ParameterEstimate) if each.type is 
 
 def _decoded(content: Any, model: type[M], place: str | Path) -> Fit[M, Any]:  # noqa: ANN401
     names = [each.name for each in fields(Fit)]
+    content = {"units": {"mapping": {}}} | content  # which older files have not
     if missing := [name for name in names if name not in content]:
         raise ValueError(f"{place}: the saved fit has no {missing[0]!r}; was the file edited?")
     _check_structure(content["model"]["value"], content["model"]["fields"], model, place)
@@ -305,7 +309,7 @@ def _check_types(fit: AnyFit) -> None:
     values: list[Any] = [getattr(fit.model, name) for name in fit.model.parameter_names()]
     values += [fit.cost, fit.iterations, fit.seconds, fit.held]
     values += [getattr(row, name) for row in rows for name in NUMERIC]
-    texts: list[Any] = [fit.status, fit.method, *fit.free_names]
+    texts: list[Any] = [fit.status, fit.method, *fit.free_names, *fit.units.values()]
     texts += [text for row in rows for text in (row.name, row.unit)]
     flags = {f"{row.name}.{name}": getattr(row, name) for row in rows for name in FLAGS}
     flags |= {f"{row.name}.active": row.active for row in held} | {"success": fit.success}

@@ -45,6 +45,8 @@ class Record(Shown):
         What the inputs do between samples: straight lines or steps.
     trim : mapping
         The value of each channel that was already subtracted.
+    units : mapping
+        Of channels that are in another SI unit than their name says: ``{"lat": "rad"}``.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class Record(Shown):
     name: str = ""
     hold: Hold = "foh"
     trim: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def headline(self) -> str:
         """Duration, sampling, channels."""
@@ -129,8 +132,7 @@ class Record(Shown):
         Rows that are missing for longer than twice the usual sampling interval make a gap.
         Stretches of fewer than 16 samples are left out; without gaps it is the record itself.
         """
-        gaps = self.gaps()
-        if not len(gaps):
+        if not len(gaps := self.gaps()):
             return (self,)
         spans = [(a, b) for a, b in pairwise([0, *map(int, gaps + 1), self.N]) if b - a >= FEWEST]
         parts = [self.take(slice(*span)) for span in spans]
@@ -155,8 +157,7 @@ class Record(Shown):
             values + [self.trim.get(name, 0.0) for name in names]
             for values, names in ((self.u, self.inputs), (self.y, self.outputs))
         )
-        channels = {*self.inputs, *self.outputs}
-        other = {name: value for name, value in self.trim.items() if name not in channels}
+        other = {k: v for k, v in self.trim.items() if k not in {*self.inputs, *self.outputs}}
         return replace(self, u=u, y=y, trim=other)
 
     def select(
@@ -272,11 +273,11 @@ class Record(Shown):
             warn_of_corners(other, mine.dt)
         x = regridding.joined(t, other._columns(), mine.t, mine.dt, steps=steps)
         known = np.asarray(~np.isnan(x[:, : other.nu]).any(axis=1))
-        mine, x = mine.take(known), x[known]
+        trim, units = {**self.trim, **other.trim}, {**self.units, **other.units}
+        mine, x = replace(mine.take(known), trim=trim, units=units), x[known]
         u, y = np.hstack([mine.u, x[:, : other.nu]]), np.hstack([mine.y, x[:, other.nu :]])
         inputs, outputs = self.inputs + other.inputs, self.outputs + other.outputs
-        trim = {**self.trim, **other.trim}
-        found = replace(mine, u=u, y=y, inputs=inputs, outputs=outputs, hold=hold, trim=trim)
+        found = replace(mine, u=u, y=y, inputs=inputs, outputs=outputs, hold=hold)
         return with_steps_told(found, other, dict.fromkeys(other.inputs, clock))
 
     def _columns(self) -> list[tuple[Array, samples.Between]]:
@@ -289,10 +290,10 @@ class Record(Shown):
         for name in names:
             self.channel(name)
         new = {name: names.get(name, name) for name in (*self.inputs, *self.outputs)}
-        groups = (self.inputs, self.outputs)
-        inputs, outputs = (tuple(new[name] for name in group) for group in groups)
-        trim = {new.get(name, name): value for name, value in self.trim.items()}
-        return replace(self, inputs=inputs, outputs=outputs, trim=trim)
+        inputs, outputs = (tuple(new[k] for k in group) for group in (self.inputs, self.outputs))
+        trim = {new.get(k, k): value for k, value in self.trim.items()}
+        units = {new.get(k, k): unit for k, unit in self.units.items()}
+        return replace(self, inputs=inputs, outputs=outputs, trim=trim, units=units)
 
     def between(self, start: float, end: float) -> "Record":
         """`cut`, by its older name."""
@@ -300,8 +301,7 @@ class Record(Shown):
 
     def cut(self, start: float, end: float) -> "Record":
         """Return the samples with ``start <= t <= end`` [s]."""
-        keep = (self.t >= start) & (self.t <= end)
-        if (n := int(keep.sum())) < 2:
+        if (n := int((keep := (self.t >= start) & (self.t <= end)).sum())) < 2:
             raise ValueError(
                 f"record {self.name!r} has {n} sample{'s' * (n != 1)} between {start:g} s and "
                 f"{end:g} s; it lasts from {self.t[0]:g} s to {self.t[-1]:g} s"
@@ -352,25 +352,25 @@ class Record(Shown):
         else:
             raise ValueError(f'detrend={how!r}: expected "first", "mean", a mapping or None')
         names = (*self.inputs, *self.outputs)
-        if missing := [name for name in names if name not in trim]:
-            raise ValueError(f"record {self.name!r}: no trim value for channel {missing[0]!r}")
+        for name in [each for each in names if each not in trim]:
+            raise ValueError(f"record {self.name!r}: no trim value for channel {name!r}")
         u = self.u - [trim[name] for name in self.inputs]
         y = self.y - [trim[name] for name in self.outputs]
         own = {name: self.trim.get(name, 0.0) + trim[name] for name in names}
-        total = {**self.trim, **own}
-        return replace(self, u=u, y=y, trim=total)
+        return replace(self, u=u, y=y, trim={**self.trim, **own})
 
     def with_noise(self, std: Mapping[str, float], rng: np.random.Generator) -> "Record":
         """White Gaussian measurement noise added to the named outputs (standard deviations)."""
         for name in std:
             _position(name, self.outputs, "output", self.name)
-        sigma = np.array([std.get(name, 0.0) for name in self.outputs])
+        sigma = [std.get(name, 0.0) for name in self.outputs]
         return replace(self, y=self.y + sigma * rng.standard_normal(self.y.shape))
 
     def _rest(self) -> int:
         """Samples that a trim is taken from, one at least; a warning if they are few."""
-        n = max(self.quiet_samples(), 1)
-        if n < self.N and (length := float(self.t[n] - self.t[0])) < REST:
+        if (n := max(self.quiet_samples(), 1)) < self.N and (
+            length := float(self.t[n] - self.t[0])
+        ) < REST:
             warn(
                 f"record {self.name!r}: an input moves {length:.3g} s after the start, so that its "
                 f"trim is the mean of {n} sample{'s' * (n > 1)}; take that of another record, or "

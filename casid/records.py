@@ -222,6 +222,11 @@ def _spread(values: Array) -> Array:
     return np.where(spread > 1e-12 * np.abs(mean), spread, 1.0)
 
 
+def common_units(records: Sequence[Record]) -> dict[str, str]:
+    """Units that channels of records have other than by name; the first record that states one."""
+    return {name: unit for each in reversed(records) for name, unit in each.units.items()}
+
+
 def common_hold(records: Sequence[Record]) -> Hold | None:
     """What inputs do between the samples of all records; None where these differ."""
     holds = {record.hold for record in records}

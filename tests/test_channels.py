@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.channels import MEASURES, SI, factor_of, misnamed, units_of
+from casid.channels import MEASURES, SI, factor_of, misnamed, own_units, units_of
 
 
 @pytest.mark.parametrize(
@@ -47,3 +47,8 @@ def test_units_that_a_channel_of_that_name_hardly_has_are_told():
     assert misnamed("p", "kt") == "p is said to be in kt, where rad/s is usual"
     assert "lat is said to be in ms" in misnamed("lat", "ms")
     assert "lat is said to be in in, where a share of its travel (a fac" in misnamed("lat", "in")
+
+
+def test_units_of_records_are_those_that_names_do_not_say():
+    stated = {"lat": "deg", "ped": "%", "beta": "deg", "p": "deg/s", "t": "ms", "x": "1"}
+    assert own_units(stated, ("lat", "ped", "beta", "p", "x")) == {"lat": "rad", "beta": "rad"}

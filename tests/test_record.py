@@ -407,3 +407,13 @@ def test_what_is_masked_is_missing_and_no_dates_or_complex_numbers_are_taken():
     for clock in ((1e9 * t).astype("m8[ns]"), (1e9 * t).astype("M8[ns]")):
         with pytest.raises(ValueError, match=r"t holds dates or times.* take seconds"):
             Record(clock, x, x, ("lat",), ("p",), "m")
+
+
+def test_units_follow_their_channels_through_all_that_makes_records():
+    one = replace(record(), units={"lat": "rad"})
+    again = one.rename({"lat": "stick"}).detrend("mean").total().cut(T[0], T[-1]).decimate(2)
+    assert again.units == {"stick": "rad"}
+    other = Record(
+        T, np.zeros((len(T), 0)), np.cos(T)[:, None], (), ("beta",), units={"beta": "rad"}
+    )
+    assert one.join(other).units == {"lat": "rad", "beta": "rad"}

@@ -124,7 +124,8 @@ def _mat(target: Path, fit: AnyFit, _: str, __: Mapping[str, Any]) -> str:
 
 
 def _equations(target: Path, fit: AnyFit, told: str, given: Mapping[str, Any]) -> str:
-    write_equations(target, equations_of(_system(fit), given["--pade"]), title=told)
+    found = equations_of(_system(fit), given["--pade"], fit.units)
+    write_equations(target, found, title=told)
     return ""
 
 
@@ -132,12 +133,12 @@ def _module(target: Path, fit: AnyFit, told: str, given: Mapping[str, Any]) -> s
     if isinstance(fit.model, NonlinearModel):
         return _equations(target, fit, told, given)
     hold = given["--hold"] or hold_of(fit)
-    write_module(target, fit.model.system(), hold=hold, title=told)
+    write_module(target, fit.model.system(), hold=hold, title=told, units=fit.units)
     return HELD[hold]
 
 
 def _fmu(target: Path, fit: AnyFit, _: str, given: Mapping[str, Any]) -> str:
-    write_fmu(target, _system(fit), pade=given["--pade"])
+    write_fmu(target, _system(fit), pade=given["--pade"], units=fit.units)
     return ""
 
 
@@ -147,7 +148,7 @@ def _c(target: Path, fit: AnyFit, _: str, given: Mapping[str, Any]) -> str:
     steps, hold = given["--steps"], given["--hold"] or hold_of(fit)
     if steps is None and isinstance(fit.model, NonlinearModel) and 0 < dt < np.inf:
         steps = usual_steps(fit.model, dt, getattr(fit.notes, "covered", None))
-    write_c(target, _system(fit), dt=dt, hold=hold, steps=steps)
+    write_c(target, _system(fit), dt=dt, hold=hold, steps=steps, units=fit.units)
     return HELD[hold]
 
 

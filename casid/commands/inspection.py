@@ -202,19 +202,19 @@ def _facts(record: Record, marks: BoolArray) -> RecordFacts:
 
 def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -> ChannelFacts:
     raw = record.channel(name) + record.trim.get(name, 0.0)
-    known = ~np.isnan(raw)
+    own, known = UNITS | dict(record.units), ~np.isnan(raw)
     missing = _missing(known)
     known &= ~np.isin(record.t, far)
     t, values = record.t[known], raw[known]
     if len(values) < 4:  # nothing can be said
         numbers = ("lowest", "highest", "deviation", "noise")
         empty: dict[str, Any] = dict.fromkeys(numbers, np.nan) | {"band": np.full(3, np.nan)}
-        unit = UNITS.get(name, "")
+        unit = own.get(name, "")
         known_: Any = {"missing": missing, "outliers": (), "clipped": 0, "source": 0.0}
         return ChannelFacts(name=name, unit=unit, **known_, **empty)
     return ChannelFacts(
         name=name,
-        unit=UNITS.get(name, ""),
+        unit=own.get(name, ""),
         lowest=float(values.min()),
         highest=float(values.max()),
         deviation=float(values.std()),

@@ -39,6 +39,7 @@ def write_c(
     dt: float,
     hold: Hold = "foh",
     steps: int | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> None:
     """Write C source (C99, nothing to link but the mathematical library) that steps a model.
 
@@ -65,6 +66,8 @@ def write_c(
     steps : int
         Runge-Kutta steps a sampling interval of a nonlinear structure; unless given four within a
         radian of its fastest mode at the reference condition.
+    units : mapping
+        Of channels in others than their names or the structure say: ``fit.units``.
 
     Raises
     ------
@@ -86,10 +89,10 @@ def write_c(
         )
     if isinstance(system, NonlinearModel):
         count = steps or usual_steps(system, dt)
-        (start, step), units = steps_of(system, dt, hold, count), {**UNITS, **system.units}
+        (start, step), usual = steps_of(system, dt, hold, count), {**UNITS, **system.units}
         kind = f"total values; {count} Runge-Kutta steps a sample"
     else:
-        (start, step), units, kind = _steps(system, dt, hold), UNITS, "deviations from trim"
+        (start, step), usual, kind = _steps(system, dt, hold), UNITS, "deviations from trim"
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         code = ca.CodeGenerator(path.stem, {"with_header": True, "cpp": False})
         for each in (start, step):  # named after the file, or two models would not link together
@@ -97,7 +100,8 @@ def write_c(
             code.add(ca.Function(f"{path.stem}_{each.name()}", given, each.call(given), *names))
         code.generate()
         source, header = (Path(f"{path.stem}.{end}").read_text("utf-8") for end in "ch")
-    head = _comment(linear, (path.stem, dt, hold, kind), units, step.size1_in(0))
+    own = {**usual, **(units or {})}
+    head = _comment(linear, (path.stem, dt, hold, kind), own, step.size1_in(0))
     write_text(path, head + source)
     write_text(path.with_suffix(".h"), head + header)
 
@@ -108,6 +112,7 @@ def write_fmu(
     *,
     pade: int | None = None,
     binary: bool = True,
+    units: Mapping[str, str] | None = None,
 ) -> None:
     """Write a model as an FMU for model exchange (FMI 3.0), by CasADi's exporter.
 
@@ -124,6 +129,8 @@ def write_fmu(
         Order of the Padé approximation of delays, see `without_delay`; needed where there are any.
     binary : bool
         Compile it for this machine; else it holds source only, for the importing tool to compile.
+    units : mapping
+        Of channels in others than their names or the structure say: ``fit.units``.
 
     Raises
     ------
@@ -132,7 +139,7 @@ def write_fmu(
         FMPy (``pip install 'casid[fmu]'``: it has the interface's headers) or without a C compiler.
     """
     path = _taken(path, ".fmu")
-    dae = _dae(path.stem, equations_of(system, pade))
+    dae = _dae(path.stem, equations_of(system, pade, units))
     headers = _headers() if binary else ""
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         files = dae.export_fmu({"no_warning": True, "with_serialization": False})

@@ -1,6 +1,6 @@
 """Delays of a model turned into states."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import scipy.linalg
@@ -42,18 +42,43 @@ def warn_steps(system: StateSpace, direct: BoolArray, pade: int | None) -> None:
 
     A Padé approximation of as many poles as zeros passes ±1 at the highest frequencies.
     """
+    if pade is not None and (told := steps_told(system, direct)):
+        warn(told)
+
+
+def steps_told(system: StateSpace, direct: BoolArray) -> str:
+    """What `warn_steps` tells, "" of a model without such terms."""
     told = [
         f"{name} in {', '.join(y for y, felt in zip(system.outputs, column, strict=True) if felt)}"
         for name, tau, column in zip(system.inputs, system.delay, direct.T, strict=True)
         if tau and column.any()
     ]
-    if told and pade is not None:
-        warn(
-            f"direct terms of delayed inputs, {'; '.join(told)}: a Padé approximation, of whatever "
-            "order, answers each step of such an input at once by one of the term's full size. "
-            "Where inputs go in steps, export the model with its delay set to 0 and send them "
-            "late, or write .c, or .py of a linear fit, whose delays are exact"
-        )
+    if not told:
+        return ""
+    return (
+        f"direct terms of delayed inputs, {'; '.join(told)}: a Padé approximation, of whatever "
+        "order, answers each step of such an input at once by one of the term's full size. "
+        "Where inputs go in steps, export the model with its delay set to 0 and send them "
+        "late, or write .c, or .py of a linear fit, whose delays are exact"
+    )
+
+
+def approximated(system: StateSpace, states: Sequence[str], pade: int | None) -> list[str]:
+    """Sentences on which ``states``, the last of a model, stand for which delays."""
+    late = [(name, tau) for name, tau in zip(system.inputs, system.delay, strict=True) if tau]
+    if not late or pade is None:
+        return []
+    last = list(states)[len(states) - pade * len(late) :]
+    told = (
+        f"{' to '.join(dict.fromkeys((last[pade * k], last[pade * k + pade - 1])))} "
+        f"that of {name}, {tau:.6g} s"
+        for k, (name, tau) in enumerate(late)
+    )
+    reach = pade / max(tau for _, tau in late)
+    return [
+        f"Delays are approximated by states (Padé, order {pade}), right up to some {reach:.3g} "
+        f"rad/s: {'; '.join(told)}"
+    ]
 
 
 def delays_as_states(system: StateSpace, pade: int | None) -> StateSpace:

@@ -1,17 +1,29 @@
 """A model as dx/dt and y of states and inputs, without delays: what simulators ask for."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
-from casid.exchange.delays import delays_as_states, warn_steps, without_delay
+from casid.exchange.delays import (
+    approximated,
+    delays_as_states,
+    steps_told,
+    warn_steps,
+    without_delay,
+)
 from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
+
+DEVIATIONS = (
+    "x, u and y are deviations from the trim the model was identified at, which is not in this "
+    "file: subtract it from the inputs, add it to the outputs"
+)
+TOTAL = "x, u and y are total values"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,6 +42,8 @@ class Equations:
         The reference condition, zero of a linear system; states of delays at rest under u0.
     function : casadi.Function
         (x, u) -> (dx/dt, y).
+    remarks : tuple of str
+        What the values are, and which states stand for which delays, a sentence each.
     """
 
     states: tuple[str, ...]
@@ -39,6 +53,7 @@ class Equations:
     x0: Array
     u0: Array
     function: ca.Function
+    remarks: tuple[str, ...] = ()
 
     def derivatives(self, t: float, x: Array, u: Array | Callable[[float], Array]) -> Array:
         """dx/dt (nx,) for inputs u (nu,), or a function of time that has them.
@@ -56,8 +71,21 @@ class Equations:
         return np.asarray(self.function(x, at)[which], dtype=float).ravel()
 
 
-def equations_of(model: StateSpace | NonlinearModel, pade: int | None = None) -> Equations:
-    """The equations of a continuous model; ``pade`` as in `without_delay`.
+def equations_of(
+    model: StateSpace | NonlinearModel,
+    pade: int | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Equations:
+    """The equations of a continuous model.
+
+    Parameters
+    ----------
+    model : StateSpace or NonlinearModel
+        The model.
+    pade : int
+        As in `without_delay`.
+    units : mapping
+        Of channels in others than their names or the structure say: ``fit.units``.
 
     Raises
     ------
@@ -66,7 +94,7 @@ def equations_of(model: StateSpace | NonlinearModel, pade: int | None = None) ->
         that is no trim.
     """
     if isinstance(model, NonlinearModel):
-        return _nonlinear(model, pade)
+        return _nonlinear(model, pade, units or {})
     if model.dt is not None:
         raise ValueError(
             f"the model is discrete with an interval of {model.dt:g} s; convert it to continuous "
@@ -79,14 +107,24 @@ def equations_of(model: StateSpace | NonlinearModel, pade: int | None = None) ->
         states=plain.states,
         inputs=plain.inputs,
         outputs=plain.outputs,
-        units=UNITS,
+        units={**UNITS, **(units or {})},
         x0=np.zeros(plain.nx),
         u0=np.zeros(plain.nu),
         function=_function(x, u, A @ x + B @ u, C @ x + D @ u),
+        remarks=(DEVIATIONS, *_on_delays(model, plain.states, model.D != 0, pade)),
     )
 
 
-def _nonlinear(model: NonlinearModel, pade: int | None) -> Equations:
+def _on_delays(
+    late: StateSpace, states: Sequence[str], direct: BoolArray, pade: int | None
+) -> list[str]:
+    """What is to be said of approximated delays."""
+    told = approximated(late, states, pade)
+    steps = steps_told(late, direct)
+    return [*told, steps[0].upper() + steps[1:]] if told and steps else told
+
+
+def _nonlinear(model: NonlinearModel, pade: int | None, units: Mapping[str, str]) -> Equations:
     """The structure's equations with its delays as a linear system before its inputs."""
     warn_unbalanced(model, "what is exported starts there")
     (x0, u0), names = model.operating_point(), model.inputs
@@ -104,10 +142,11 @@ def _nonlinear(model: NonlinearModel, pade: int | None) -> Equations:
         states=(*model.states, *line.states),
         inputs=names,
         outputs=model.outputs,
-        units={**UNITS, **model.units},
+        units={**UNITS, **model.units, **units},
         x0=np.concatenate([x0, rest]),
         u0=u0,
         function=_function(x, u, ca.vertcat(rates, line.A @ late + line.B @ u), outputs),
+        remarks=(TOTAL, *_on_delays(linear, line.states, direct, pade)),
     )
 
 

@@ -241,10 +241,11 @@ def write_fit_mat(path: str | Path, fit: AnyFit) -> None:
     parameters are columns of one row each.
     """
     system = fit.model.system()
-    rows = fit.parameters
+    rows, own = fit.parameters, {**UNITS, **getattr(fit.model, "units", {}), **fit.units}
     numbers = ("value", "std_error", "cramer_rao", "lower", "upper")
     content: dict[str, Any] = {
-        "output_units": tuple(UNITS.get(name, "") for name in system.outputs),
+        "output_units": tuple(own.get(name, "") for name in system.outputs),
+        "input_units": tuple(own.get(name, "") for name in system.inputs),
         "parameters": tuple(row.name for row in rows),
         "units": tuple(row.unit for row in rows),
         "free": fit.free_names,

@@ -2,6 +2,7 @@
 
 import keyword
 from pathlib import Path
+from textwrap import wrap
 
 import casadi as ca
 
@@ -47,6 +48,7 @@ UNARY = {
     )
 }
 
+WIDTH = 90  # of a line of remarks
 WORDS = {  # of a language, what is spelled otherwise; numbers of NumPy are as those of C
     "py": {"power": "**", "least": "fmin", "most": "fmax", "number": "float64({})", "at": "[{}]"},
     "m": {"power": "^", "least": "min", "most": "max", "number": "{}", "at": "({})"},
@@ -56,6 +58,7 @@ MATLAB = """function [dx, y] = {name}(x, u)
 %   States x: {states}
 %   Inputs u: {inputs}
 %   Outputs y: {outputs}
+{remarks}
 %   Reference condition: x0 = {x0}; u0 = {u0}
 %   [t, x] = ode45(@(t, x) {name}(x, u_of(t)), [0 10], x0, odeset('RelTol', 1e-8))
 dx = zeros({nx}, 1);
@@ -72,6 +75,8 @@ end
 end
 """
 PYTHON = '''"""{about}
+
+{remarks}
 
 scipy.integrate.solve_ivp(lambda t, x: equations(x, u_of(t))[0], (0.0, 10.0), X0, rtol=1e-8)
 NumPy 2 or newer.
@@ -123,16 +128,20 @@ def write_equations(path: str | Path, found: Equations, *, title: str = "") -> N
     named = path.stem.isidentifier() and path.stem not in (*keyword.kwlist, *KEYWORDS.split())
     if path.suffix not in (".m", ".py") or not named:
         raise ValueError(f"{path}: expected a name such as model.m or model.py")
-    said = "".join(each for each in title if each.isprintable() and each not in "\\\"'")
+    said = _plain(title)
     told = {"about": said or f"Equations of {path.stem}.", "nx": len(found.x0)}
     told |= {"ny": len(found.outputs), "x0": found.x0.tolist(), "u0": found.u0.tolist()}
+    sentences = [f"{_plain(each)}." for each in found.remarks]
     if path.suffix == ".py":
+        told["remarks"] = "\n".join(wrap(" ".join(sentences), WIDTH))
         body = "\n".join(f"    {line}" for line in _lines(found.function, "py"))
         names = {name: getattr(found, name) for name in ("states", "inputs", "outputs")}
         own = (*found.states, *found.inputs, *found.outputs)
         units = {name: found.units[name] for name in own if name in found.units}
         text = PYTHON.format(**told, **names, units=units, body=body)
     else:
+        lines = (line for each in sentences for line in wrap(each, WIDTH, subsequent_indent="  "))
+        told["remarks"] = "\n".join(f"%   {line}" for line in lines)
         body = "\n".join(f"{line};" for line in _lines(found.function, "m"))
         names = {
             name: ", ".join(f"{n} [{found.units.get(n, '-')}]" for n in getattr(found, name))
@@ -140,6 +149,11 @@ def write_equations(path: str | Path, found: Equations, *, title: str = "") -> N
         }
         text = MATLAB.format(**told, **names, name=path.stem, upper=path.stem.upper(), body=body)
     write_text(path, text)
+
+
+def _plain(text: str) -> str:
+    """A text without what could end a docstring or a line of comment."""
+    return "".join(each for each in text if each.isprintable() and each not in "\\\"'")
 
 
 def _lines(function: ca.Function, language: str) -> list[str]:

@@ -133,6 +133,7 @@ def to_dataframe(record: Record) -> Any:  # noqa: ANN401
     frame = pandas.DataFrame(values, index=pandas.Index(record.t, name="t"), columns=names)
     frame.attrs = {"inputs": list(record.inputs), "outputs": list(record.outputs)}
     frame.attrs |= {"name": record.name, "hold": record.hold, "trim": dict(record.trim)}
+    frame.attrs |= {"units": dict(record.units)}
     return frame
 
 
@@ -178,7 +179,9 @@ def from_dataframe(
     name = str(kept.get("name", "") if name is None else name)
     record = build(partial(_column, frame), inputs, outputs, time, units, name)
     trim = {each: float(value) for each, value in dict(kept.get("trim", {})).items()}
-    return replace(record, hold=hold or kept.get("hold", "foh"), trim=trim).detrend(detrend)
+    own = {str(k): str(v) for k, v in dict(kept.get("units", {})).items()} | dict(record.units)
+    record = replace(record, hold=hold or kept.get("hold", "foh"), trim=trim, units=own)
+    return record.detrend(detrend)
 
 
 def _with_seconds(frame: Any, time: str, units: Mapping[str, str]) -> Any:  # noqa: ANN401

@@ -3,6 +3,7 @@
 import inspect
 import keyword
 import pprint
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
@@ -22,7 +23,12 @@ HEAD = Path(__file__).with_name("simulation.py.txt")
 
 
 def write_module(
-    path: str | Path, system: StateSpace, *, hold: Hold = "foh", title: str = ""
+    path: str | Path,
+    system: StateSpace,
+    *,
+    hold: Hold = "foh",
+    title: str = "",
+    units: Mapping[str, str] | None = None,
 ) -> None:
     """Write a model as a Python file with its matrices, delays, names, units and ``simulate``.
 
@@ -36,6 +42,8 @@ def write_module(
         What inputs do between samples where ``simulate`` is not told: of a fit, as in its records.
     title : str
         First line of the file.
+    units : mapping
+        Of channels in others than their names say: ``fit.units``.
 
     Raises
     ------
@@ -48,19 +56,21 @@ def write_module(
         raise ValueError(f"{path}: expected a name that Python imports, such as model.py")
     if hold not in get_args(Hold):
         raise ValueError(f'hold={hold!r}, expected "foh" or "zoh"')
-    write_text(path, module_text(system, hold, title or f"Simulation of {path.stem}."))
+    write_text(path, module_text(system, hold, title or f"Simulation of {path.stem}.", units))
 
 
-def module_text(system: StateSpace, hold: Hold, title: str) -> str:
+def module_text(
+    system: StateSpace, hold: Hold, title: str, units: Mapping[str, str] | None = None
+) -> str:
     """Text of the file; the title is reduced to characters that cannot end a docstring."""
     check_continuous(system)
     plain = "".join(each for each in title if each.isprintable() and each not in "\\\"'")
-    names = (*system.states, *system.inputs, *system.outputs)
+    names, own = (*system.states, *system.inputs, *system.outputs), {**UNITS, **(units or {})}
     head = HEAD.read_text(encoding="utf-8").format(
         title=plain, version=version("casid"), hold=hold, nx=system.nx, nu=system.nu, ny=system.ny,
         states=_literal(system.states), inputs=_literal(system.inputs),
         outputs=_literal(system.outputs),
-        units=_literal({name: UNITS[name] for name in names if name in UNITS}),
+        units=_literal({name: own[name] for name in names if name in own}),
         matrices="\n".join(f"{letter} = {_matrix(getattr(system, letter))}" for letter in "ABCD"),
         delay=system.delay.tolist(), rounding=intersample.ROUNDING,
     )  # fmt: skip

@@ -29,7 +29,7 @@ from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.qualification import Qualification
 from casid.record import Record
-from casid.records import Records
+from casid.records import Records, common_units, several
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
 from casid.report.designs import plot_card, plot_errors
@@ -106,7 +106,8 @@ def compare(
                 f"pair={pair}: a pair is of a frequency response; over records name outputs, "
                 "channels=[...]"
             )
-        own = (getattr(getattr(each, "model", each), "units", {}) for each in models.values())
+        own = [getattr(getattr(each, "model", each), "units", {}) for each in models.values()]
+        own.append(common_units(several(data)))
         units = UNITS | {name: unit for named in own for name, unit in named.items()}
         return _histories(validate(models, data), channels, units, ax)
 
@@ -121,7 +122,8 @@ def _(value: Record, ax: Any, channels: Sequence[str] = ()) -> Any:  # noqa: ANN
     names = known(channels, (*value.inputs, *value.outputs))
     axes = new_axes(ax, len(names), 1, height=0.9)
     for each, name in zip(axes, names, strict=True):
-        figures.plot_input(each, value.t, value.channel(name), channel=name, units=UNITS)
+        own = UNITS | dict(value.units)
+        figures.plot_input(each, value.t, value.channel(name), channel=name, units=own)
     axes[-1].set_xlabel("t [s]")
     return as_given(ax, axes)
 

@@ -29,7 +29,7 @@ from casid.nlp import SolverOptions
 from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.records import common_hold, several
+from casid.records import common_hold, common_units, several
 from casid.shooting import uncertainty
 from casid.shooting.beginnings import warn_of_beginnings
 from casid.shooting.frequency import IPOPT
@@ -345,7 +345,7 @@ def _result(
         held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,
         initial_states=point.nodes[firsts][:, own], biases=point.bias * biased,
-        interval=evaluator.layout.interval,
+        interval=evaluator.layout.interval, units=common_units(evaluator.layout.records),
         state_biases=point.nodes[firsts][:, constant] if constant.any() else None,
     )  # fmt: skip
     if not success:

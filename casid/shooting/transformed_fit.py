@@ -24,7 +24,7 @@ from casid.model import M
 from casid.nlp import SolverOptions
 from casid.prediction import PredictionPlan, predict
 from casid.record import Record
-from casid.records import common_hold
+from casid.records import common_hold, common_units
 from casid.shooting import uncertainty
 from casid.shooting.delays import warn_of_jumps
 from casid.shooting.frequency import (
@@ -136,6 +136,7 @@ def _fit(
         covariance=found.covariance, free_names=free.names, R=np.diag(R),
         initial_states=np.array([each.x0 for each in begun]),
         biases=np.array([each.b for each in begun]),
+        units=common_units([each.record for each in lines]),
     )  # fmt: skip
 
 

@@ -121,6 +121,7 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
     found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
     said = (Caution(f"Modes: {unbalanced(content.model, [doubt])}", 6),) if doubt else ()
     values = {"modes": found_modes, "bands": content.bands, "at": at, "missed": content.missed}
+    values["shares"] = [n for n in content.model.inputs if content.units.get(n) == "travel"]
     values["simulated"] = [k for k, far in enumerate(found.horizon) if math.isinf(far)]
     drawings = report.drawings
     histories = partial(drawings.draw_histories, found, content.units)

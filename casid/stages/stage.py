@@ -10,11 +10,13 @@ from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 from casid.checks import hint
 from casid.errors import ConvergenceError
+from casid.fit import Fit
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
 from casid.nlp import Progress
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
+from casid.records import common_units
 from casid.report.content import Content, Section
 from casid.validation import AnyModel
 
@@ -151,8 +153,10 @@ class Keep(Protocol):
 
 
 def compute(stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401 - of any stage
-    """Run a stage, no more."""
-    return stage.run(settings, task)
+    """Run a stage; a fit has the units of the task's channels, be it from responses alone."""
+    found = stage.run(settings, task)
+    units = common_units([each for role in task.roles.values() for each in role])
+    return replace(found, units=units) if units and isinstance(found, Fit) else found
 
 
 def watched(settings: Any, progress: Callable[[Progress], None]) -> Any:  # noqa: ANN401

@@ -23,7 +23,7 @@ from casid.jobs.store import Done, Store
 from casid.nlp import Progress
 from casid.repeats import repeats_known
 from casid.report.content import Timing
-from casid.stages.stage import LeftOutError, Stage, Task, watched
+from casid.stages.stage import LeftOutError, Stage, Task, compute, watched
 from casid.studies.study import Study
 from casid.threads import cores
 from casid.values import digest
@@ -104,11 +104,11 @@ class Keeper:
             work = partial(_apart, stage, settings, task)
             self._begun[stage.name] = self.processes.enter_context(beside(work))
 
-    def timed(self, name: str, compute: Callable[[], T]) -> T:
+    def timed(self, name: str, step: Callable[[], T]) -> T:
         """Compute a step that is not kept."""
         self._watch.begin(name)
         start = time.perf_counter()
-        result = compute()
+        result = step()
         self._note(name, time.perf_counter() - start, result)
         return result
 
@@ -213,7 +213,7 @@ def _made(stage: Stage, settings: Any, task: Task) -> Done:  # noqa: ANN401
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DataWarning)
         with repeats_known():  # as the records were read
-            result = stage.run(settings, task)
+            result = compute(stage, settings, task)
     said = tuple(dict.fromkeys(str(each.message) for each in caught))
     return Done(result=result, seconds=time.perf_counter() - start, warnings=said)
 

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 from click.testing import CliRunner
 from truths.roll_study import write_study
 
 from casid import Fit, NonlinearModel, Scalar, output_error, parameter, read_csv
+from casid.channels import factor_of
 from casid.cli import main
 from casid.commands.conversion import hold_of
 from casid.structure.modelfile import load_model
@@ -115,7 +117,7 @@ class Fast(NonlinearModel):
 def test_source_steps_by_the_speeds_that_were_flown(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     fit = SimpleNamespace(
-        model=Fast(), method="output error",
+        units={}, model=Fast(), method="output error",
         notes=SimpleNamespace(covered={"u": (10.0, 100.0)}, hold="foh"),
     )  # fmt: skip
     monkeypatch.setattr("casid.commands.conversion.load_fit", lambda *_: fit)
@@ -127,3 +129,23 @@ def test_source_steps_by_the_speeds_that_were_flown(tmp_path, monkeypatch):
     assert "8 Runge-Kutta steps a sample" in (tmp_path / "fast.c").read_text("utf-8")
     assert casid("convert", "fit.json", "own.c", *given, "--steps", "3").exit_code == 0
     assert "3 Runge-Kutta steps a sample" in (tmp_path / "own.c").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("unit", "share"), [("deg", "rad"), ("%", "travel"), ("pwm", "travel")])
+def test_what_is_written_of_a_fit_names_the_unit_its_stick_was_read_in(folder, unit, share):
+    cls = load_model("roll.py:Roll", folder)
+    channels = {"inputs": ("lat",), "outputs": ("p", "phi")}
+    table = np.loadtxt("held.csv", delimiter=",", skiprows=1)
+    table[:, 1] /= factor_of("lat", unit)
+    np.savetxt("own.csv", table, delimiter=",", header="t,lat,p,phi", comments="", fmt="%.12g")
+    flown = read_csv("own.csv", **channels, units={"lat": unit}, hold="zoh")
+    output_error(cls(), flown).save("fit.json")
+    assert Fit.load("fit.json", model=cls).units == ({"lat": "rad"} if share == "rad" else {})
+    for name, more in (("own.py", ()), ("own.m", ("--pade", "3")), ("own.c", ("--dt", "0.02"))):
+        done = casid("convert", "fit.json", name, *ROLL, *more)
+        assert done.exit_code == 0, done.output
+        said = (folder / name).read_text(encoding="utf-8")
+        assert (f"'lat': '{share}'" if name == "own.py" else f"lat [{share}]") in said
+        assert "from the trim" in said or "from trim" in said or "about the trim" in said
+    assert casid("convert", "fit.json", "own.mat", *ROLL).exit_code == 0
+    assert scipy.io.loadmat("own.mat")["input_units"][0, 0].item() == share

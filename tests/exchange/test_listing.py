@@ -133,3 +133,28 @@ def test_octave_integrates_a_nonlinear_structure_as_casid(tmp_path, octave):
     y = octave(RUN, t=t[:, None], u=u[:25], x0=X0, delay=np.array([AIRCRAFT.tau, 0.0]))
     known = by_casid(AIRCRAFT, u, "foh", 20)[:25]
     np.testing.assert_allclose(y, known, atol=1e-8 * np.abs(known).max(), rtol=0)
+
+
+def test_the_head_of_a_function_says_what_its_values_and_its_states_are(tmp_path):
+    plant = unstable_plant()
+    D, none = np.array([[0.0, 1.0]] * 3), np.zeros((3, 2))
+    for delay, direct in ((np.array([0.0, 0.05]), D), (np.array([0.053, 0.04]), none)):
+        names = plant.inputs, plant.outputs, ()
+        system = StateSpace(plant.A, plant.B, plant.C, direct, None, *names, delay)
+        found = equations_of(system, 3, {plant.inputs[0]: "rad"})
+        write_equations(tmp_path / "own.m", found)
+        head = (tmp_path / "own.m").read_text(encoding="utf-8").partition("\ndx =")[0]
+        said = " ".join(line.lstrip("% ") for line in head.splitlines())
+        assert f"{plant.inputs[0]} [rad]" in said
+        assert "deviations from the trim" in said
+        for name, tau in zip(plant.inputs, delay, strict=True):
+            assert (f"{name}_1 to {name}_3 that of {name}, {tau:.6g} s" in said) == (tau > 0)
+        assert ("Direct terms of delayed inputs" in said) == (direct is D)
+
+
+def test_the_head_of_a_nonlinear_structure_says_total_values(tmp_path):
+    for name in ("own.m", "own.py"):
+        write_equations(tmp_path / name, equations_of(replace(AIRCRAFT, tau=0.0)))
+        said = (tmp_path / name).read_text(encoding="utf-8")
+        assert "u and y are total values" in said
+        assert "Padé" not in said

@@ -7,12 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from truths.roll_study import write_study
+from truths.roll_study import Truth, write_study
+from truths.small_record import record
 
-from casid import ConvergenceError, ModelError, identify, read_study, run_study
+from casid import ConvergenceError, Fit, ModelError, identify, read_study, run_study
 from casid.report import Caution, Section
 from casid.stages.listing import STAGES
-from casid.stages.stage import Stage, Task, run_stages
+from casid.stages.stage import Stage, Task, compute, run_stages
 from casid.studies.study import read_records
 from casid.values import storable
 
@@ -155,3 +156,15 @@ def test_what_comes_before_a_failure_says_its_doubts_with_it():
     with pytest.raises(ConvergenceError, match=r"^no point\n.*\nOrder 2 misses a mode\.$") as told:
         run_stages(Task(model=None, stages=stages))
     assert told.value.best == "best"
+
+
+def test_fits_of_a_study_have_the_units_of_its_channels_whatever_they_are_fitted_to():
+    model, one = Truth(), record()
+    fit = Fit(
+        model=model, parameters=(), cost=0.0, status="", success=True, iterations=0, seconds=0.0,
+        method="derivid", notes=None,
+    )  # fmt: skip
+    for units in ({"lat": "rad"}, {}):
+        task = Task(model=model, roles={"frequency": (replace(one, units=units),)})
+        assert compute(Stage(name="", does="", run=lambda *_: fit), None, task).units == units
+    assert compute(Stage(name="", does="", run=lambda *_: 3), None, task) == 3
