@@ -31,6 +31,7 @@ from casid.logs.reading import read_log
 from casid.logs.sources import Source
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, left_out, make_stretch
 from casid.logs.topics import Log
+from casid.logs.unseen import unseen
 from casid.model import Model
 from casid.outlying import outliers
 from casid.record import REST, Record
@@ -38,7 +39,6 @@ from casid.structure.modelfile import load_model, locate_model
 from casid.textfile import write_text
 from casid.threads import one_thread
 
-KEPT = 4  # of as many stretches one is kept for validation
 FIRST = 0.6  # of a single stretch that identifies
 TEMPLATE = """\
 # Drafted from {log} ({kind}). Paths are relative to this file.
@@ -337,8 +337,8 @@ def _write(
     moves: Mapping[str, float],
 ) -> None:
     """Write records, structure and study."""
-    unseen = found[KEPT - 1 :: KEPT] or found[-1:]
-    parts = [[each.record for each in found if each not in unseen], [x.record for x in unseen]]
+    kept = unseen([each.moved for each in found])
+    parts = [[found[k].record for k in range(len(found)) if (k in kept) == own] for own in (0, 1)]
     for record in (*parts[0], *parts[1]):
         write_csv(study.parent / "data" / f"{record.name}.csv", record)
     if model is None:
@@ -349,9 +349,9 @@ def _write(
     files = [json.dumps([f"data/{each.name}.csv" for each in part]) for part in parts]
     quiet = [all(each.quiet_samples() > REST / each.dt for each in part) for part in parts]
     trim = "first" if quiet[0] else "mean"
-    kept = load_model(reference, study.parent).outputs
-    beside = _beside([each.record for each in found], kept)
-    offered = {name: lag for name, lag in moves.items() if name in (*kept, *beside)}
+    own = load_model(reference, study.parent).outputs
+    beside = _beside([each.record for each in found], own)
+    offered = {name: lag for name, lag in moves.items() if name in (*own, *beside)}
     lags = ", ".join(f"{name} = {lag:+.4f}" for name, lag in offered.items())
     asked = "# Kinematics asks for this; without the first # of the line it is done:"
     words = {

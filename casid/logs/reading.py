@@ -66,7 +66,8 @@ def read_log(path: str | Path) -> Log:
     library = optional(package, f"{path}: a {kind} log", extra="logs")
     topics, notes = _topics(path, kind, partial(read, data, library))
     if not topics:
-        raise ValueError(f"{path}: no topic with samples could be read; is the {kind} log cut off?")
+        why = "; ".join(notes) or f"is the {kind} log cut off?"
+        raise ValueError(f"{path}: no topic with samples could be read; {why}")
     for what, remedy in LEFT_OUT.items():
         # What has one stamp in all is no signal: a table that the log describes itself with.
         gone = {name: getattr(each, what) for name, each in topics.items() if len(each.t) > 1}

@@ -4,6 +4,7 @@ Format: https://www.ni.com/en/support/documentation/supplemental/07/tdms-file-fo
 """
 
 import logging
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import ModuleType
@@ -13,10 +14,17 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.channels import MEASURES
+from casid.display import listed
 from casid.logs.topics import Bounded, Topic, make_topic, printable
 
 MAGIC = b"TDSm"
-TIMES = {"t", "time", "time [s]", "time_s", "timestamp", "timestamps", "seconds"}  # of columns
+TIMES = {  # names of columns of instants, a unit behind them left out
+    *("t", "time", "times", "timestamp", "timestamps", "time stamp", "time stamps", "zeit"),
+    *("elapsed time", "time elapsed", "elapsed", "relative time", "rel time", "test time"),
+    *("time axis", "time vector", "seconds", "milliseconds", "microseconds", "nanoseconds"),
+}
+DATES = {"date", "datetime", "date time"}  # the same of columns that hold dates
+BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")  # a name, its unit in them
 SPELT = {  # units of time, as they are written beside those that casid knows
     "": 1.0,
     **dict.fromkeys(("sec", "secs", "second", "seconds"), 1.0),
@@ -31,6 +39,10 @@ STEP, START, BEGUN = "wf_increment", "wf_start_offset", "wf_start_time"  # of a 
 UNSET = np.datetime64("1904-01-02")  # LabVIEW's zero, as of clocks that nobody has set
 SECOND = np.timedelta64(1, "s")
 UNIT = ("unit_string", "NI_UnitDescription")
+REMEDY = (
+    ": waveforms have it in their properties (wf_increment), other groups in a column of instants "
+    "as long as theirs, called Time [s], Time [ms] or the like"
+)
 
 
 def read_tdms(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[str, ...]]:
@@ -56,12 +68,13 @@ def read_tdms(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[
             found, without = _group(name, channels, epoch)
             topics += found
             if without:
-                notes.append(f"group {name!r}: no time is known of {', '.join(without)}")
+                named = listed([printable(each) for each in without])
+                notes.append(f"group {name!r}: no time is known of {named}{REMEDY}")
             notes += [
-                f"group {name!r}: {printable(each.name)} is in {printable(_unit(each))!r}, no unit "
-                "of time that is known: taken as seconds"
+                f"group {name!r}: {printable(each.name)} is in {printable(_counted(each))!r}, no "
+                "unit of time that is known: taken as seconds"
                 for each in _clocks(channels).values()
-                if np.dtype(each.dtype).kind != "M" and _unit(each).lower() not in SECONDS
+                if np.dtype(each.dtype).kind != "M" and _counted(each) not in SECONDS
             ]
     return iter(topics), tuple(notes)
 
@@ -119,8 +132,26 @@ def _group(
 
 
 def _clocks(channels: Sequence[Any]) -> dict[int, Any]:
-    """Columns of instants, by their length."""
-    return {len(each): each for each in channels if each.name.strip().lower() in TIMES}
+    """Columns of instants, by their length: of several the one of the plainest name."""
+    named = [(_split(each.name)[0], each) for each in channels]
+    dated = {id(each) for each in channels if np.dtype(each.dtype).kind == "M"}
+    known = [(len(n), x) for n, x in named if n in TIMES or (n in DATES and id(x) in dated)]
+    return {len(each): each for _, each in sorted(known, key=lambda row: -row[0])}
+
+
+def _split(name: str) -> tuple[str, str]:
+    """A column's name without its unit, and the unit, in lower case: "Time (ms)", "time_ms"."""
+    plain = " ".join(name.lower().replace("_", " ").replace("μ", "µ").split())
+    if found := BRACKETS.fullmatch(plain):
+        return found[1], found[2]
+    before, _, last = plain.rpartition(" ")
+    return (before, last) if before and last in SECONDS else (plain, "")
+
+
+def _counted(channel: Any) -> str:  # noqa: ANN401
+    """The unit in which a column counts time, as it is stated or as its name says."""
+    name, unit = _split(channel.name)
+    return _unit(channel).lower() or unit or (name if name in SECONDS else "")
 
 
 def _seconds(channel: Any, epoch: np.datetime64 | None) -> Array:  # noqa: ANN401
@@ -128,7 +159,7 @@ def _seconds(channel: Any, epoch: np.datetime64 | None) -> Array:  # noqa: ANN40
     values = channel[:]
     if values.dtype.kind == "M":
         return np.asarray((values - epoch) / SECOND, dtype=float)
-    return np.asarray(values, dtype=float) * SECONDS.get(_unit(channel).lower(), 1.0)
+    return np.asarray(values, dtype=float) * SECONDS.get(_counted(channel), 1.0)
 
 
 def _unit(channel: Any) -> str:  # noqa: ANN401

@@ -7,7 +7,7 @@ from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Content
 from casid.report.evidence import WORSE, comparable, significant_differences
-from casid.report.verdicts import GOOD, Verdict
+from casid.report.verdicts import GOOD, UNJUDGED, Verdict
 from casid.validation import Validation
 
 WORST = 3  # outputs named
@@ -42,14 +42,14 @@ def predictions_told(
     if not judged:
         return ""
     words = [v.word for v in judged]
-    kinds = (each for each in ("good", "fair", "poor", "not judged") if each in words)
+    kinds = (each for each in ("good", "fair", "poor", UNJUDGED) if each in words)
     count = ", ".join(f"{kind} on {words.count(kind)}" for kind in kinds)
     how = "predicted" if validation.predicted else "simulated in free run"
     said = [
         f"Of {counted(len(judged), 'output')} of the validation records, {how}, the model is "
         f"{count}."
     ]
-    if worst := [v for v in ranked(judged) if v.theil > GOOD][:WORST]:
+    if worst := [v for v in ranked(judged) if v.theil > GOOD and v.word != UNJUDGED][:WORST]:
         named = ", ".join(f"{v.output} {v.theil:.2f}" for v in worst)
         said.append(f"It does worst on {named} (Theil's coefficient).")
     if lacking := [v for v in judged if v.structural]:

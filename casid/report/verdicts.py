@@ -15,6 +15,7 @@ from casid.validation import Validation, measures
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
+UNJUDGED = "not judged"
 RUNS_AWAY = "the model runs out of all numbers"
 NAMED = 12  # names in a warning before it says how many more
 
@@ -37,8 +38,9 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """The verdict in a word."""
-        return word(self.theil)
+        """The verdict in a word; no model predicts what hardly moves beyond its noise."""
+        said = word(self.theil)
+        return UNJUDGED if said == "poor" and self.noisy else said
 
     @property
     def noisy(self) -> bool:
@@ -76,12 +78,13 @@ class Verdict:
         if not np.isfinite(self.theil):
             none = "there is nothing to compare, nothing but zeros, or most before the predictions"
             return f"{output} is not judged: {none}."
-        told = (
-            ", but its error is that of the noise: it hardly moves where it is judged."
-            if self.noisy
-            else "."
-        )
-        told = f": {RUNS_AWAY}." if np.isinf(self.rms) else told
+        if self.word == UNJUDGED:
+            return (
+                f"{output} is not judged: it hardly moves beyond its noise there, and the error is "
+                f"that of the noise (Theil's coefficient {self.theil:.2f}); add a record that "
+                "moves it."
+            )
+        told = f": {RUNS_AWAY}." if np.isinf(self.rms) else "."
         return f"{output} is predicted poorly (Theil's coefficient {self.theil:.2f}){told}"
 
 
@@ -120,7 +123,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
 def word(theil: float) -> str:
     """A word for Theil's inequality coefficient."""
     if not np.isfinite(theil):
-        return "not judged"
+        return UNJUDGED
     if theil <= GOOD:
         return "good"
     return "fair" if theil <= FAIR else "poor"

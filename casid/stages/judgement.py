@@ -15,7 +15,7 @@ from casid.nonlinear.model import NonlinearModel
 from casid.report.answer import predictions_told, ranked
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
 from casid.report.evidence import differences, disagreement, offsets, unexplained_records
-from casid.report.verdicts import verdicts
+from casid.report.verdicts import UNJUDGED, verdicts
 from casid.report.words import fitted
 from casid.stages.stage import Stage, Task
 from casid.validation import Validation, validate
@@ -52,7 +52,7 @@ def _run(settings: Judgement, task: Task) -> Validation:
 
 def _show(found: Validation, content: Content) -> Iterable[Section]:
     judged = verdicts(found, content)
-    poor = [each for each in judged if each.word in ("poor", "not judged")]
+    poor = [each for each in judged if each.word in ("poor", UNJUDGED)]
     said = [Caution(each, 3) for each in content.repeats.told()]
     said += [
         *unexplained_records(found, content),

@@ -230,7 +230,8 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     channels = study.channels
     total = isinstance(study.model, NonlinearModel)
     stated = channels.units, channels.time
-    check_plausible(done["identification"], tuple(every.values()), *stated, total=total)
+    learnt = without_checks(study, {"identification": done["identification"]})["identification"]
+    check_plausible(learnt, tuple(every.values()), *stated, total=total)
     with placed("[pbsid]"):
         study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
     with placed(f"{study.path}:"):

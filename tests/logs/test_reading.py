@@ -2,6 +2,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import nptdms
 import numpy as np
 import pytest
 from truths.logs import WRITERS, damaged, outcome
@@ -90,3 +91,13 @@ def test_damaged_logs_are_read_in_part_or_refused(tmp_path, small, capfd):
 def test_ten_thousand_damaged_logs_stay_within_bounded_memory():
     code = f"import sys; sys.path.insert(0, {str(TESTS)!r}); from truths.logs import fuzz; fuzz()"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=3600)
+
+
+def test_a_whole_log_without_a_clock_is_not_called_cut_off(tmp_path):
+    path = tmp_path / "own.tdms"
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment([nptdms.ChannelObject("G", "p", np.arange(9.0))])
+    with pytest.raises(ValueError, match="could be read; group 'G': no time") as told:
+        read_log(path)
+    assert "called Time [s]" in str(told.value)
+    assert "cut off" not in str(told.value)

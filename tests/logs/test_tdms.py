@@ -29,7 +29,8 @@ def test_columns_of_times_and_waveforms_are_clocks_and_units_become_si():
 
 
 def test_channels_without_a_time_are_told():
-    assert read_tdms(tdms(2.0), nptdms)[1] == ("group 'gyros': no time is known of without time",)
+    (said,) = read_tdms(tdms(2.0), nptdms)[1]
+    assert said.startswith("group 'gyros': no time is known of without time: waveforms have it")
 
 
 def test_waveforms_of_a_group_keep_their_clocks_apart():
@@ -104,3 +105,41 @@ def test_a_unit_of_time_that_nobody_knows_is_told():
     assert read_tdms(written(clock, ("G", "p", np.arange(4.0))), nptdms)[1] == (
         "group 'G': time is in 'ticks', no unit of time that is known: taken as seconds",
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "second"),
+    [
+        *(("Time [ms]", 1e3), ("Time (s)", 1), ("Elapsed Time", 1), ("time_ms", 1e3), ("T", 1)),
+        *(("Timestamp (μs)", 1e6), ("TIME [ msec ]", 1e3), ("Elapsed_Time_us", 1e6), ("Zeit", 1)),
+        *(("milliseconds", 1e3), ("Relative time (min)", 1 / 60), ("time s", 1)),
+    ],
+)
+def test_names_of_instants_bear_units_as_those_of_channels_do(name, second):
+    clock = ("G", name, second * 0.02 * np.arange(4))
+    found, notes = read_tdms(written(clock, ("G", "p [rad/s]", np.arange(4.0))), nptdms)
+    (topic,) = found
+    np.testing.assert_allclose(topic.t, 0.02 * np.arange(4), rtol=1e-12, atol=1e-12)
+    assert (list(topic.columns), notes) == (["p [rad/s]"], ())
+
+
+def test_what_a_property_states_of_instants_goes_before_their_name():
+    clock = ("G", "Time [s]", 20.0 * np.arange(4), {"unit_string": "ms"})
+    (topic,) = read_tdms(written(clock, ("G", "p", np.arange(4.0))), nptdms)[0]
+    np.testing.assert_allclose(topic.t, 0.02 * np.arange(4), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["Date", "p [ms]", "Time constant [s]", "dead time", "Set_Time_s"])
+def test_numbers_of_other_names_are_no_instants(name):
+    data = written(("G", name, np.arange(4.0)), ("G", "p", np.arange(4.0)))
+    found, notes = read_tdms(data, nptdms)
+    assert not list(found)
+    assert f"no time is known of {name}, p" in notes[0]
+
+
+def test_of_several_columns_of_instants_the_plainest_counts():
+    every = [("Elapsed Time [ms]", 100.0), ("Time", 0.1), ("Relative Time", 0.3)]
+    data = written(*(("G", name, dt * np.arange(4)) for name, dt in every))
+    (topic,) = read_tdms(data, nptdms)[0]
+    np.testing.assert_allclose(topic.t, 0.1 * np.arange(4), atol=1e-12)
+    assert list(topic.columns) == ["Elapsed Time [ms]", "Relative Time"]

@@ -179,8 +179,7 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
     ),
     "validated at rest": (
         [], None, changed("random", without_stick),
-        ["Output phi of the validation records is predicted poorly",
-         "), but its error is that of the noise: it hardly moves where it is judged."],
+        ["Output phi of the validation records is not judged: it hardly moves beyond its noise"],
     ),
     "validated without an output": (
         [("[match]", BANDS)], None, changed("random", unmeasured),

@@ -10,6 +10,7 @@ from truths.pages import cautions, changed
 from casid.report import (
     OUTPUT_ERROR,
 )
+from casid.report.answer import predictions_told
 from casid.report.content import BLACK_BOX, CHOSEN
 from casid.report.evidence import noise_levels
 from casid.report.verdicts import Verdict, uncertain, verdicts, word
@@ -29,6 +30,21 @@ def test_a_model_that_runs_out_of_numbers_is_poor_and_no_worse_black_box_excuses
     assert (lost.word, lost.structural, lost.noisy) == ("poor", True, False)
     assert lost.reason == "the model runs out of all numbers"
     assert lost.caution.endswith(f"poorly (Theil's coefficient 1.00): {lost.reason}.")
+
+
+@pytest.mark.parametrize(
+    ("rms", "theil", "said"),
+    [(1.1, 0.9, "not judged"), (1.3, 0.9, "poor"), (1.1, 0.2, "fair"), (1.1, 0.05, "good")],
+)
+def test_what_hardly_moves_beyond_its_noise_is_not_called_poor(rms, theil, said):
+    figures = {"fit": 0.0, "noise": 1.0, "residual": 1.0, "records": (theil,)}
+    found = Verdict(output="q", unit="rad/s", rms=rms, theil=theil, **figures)
+    assert found.word == said
+    assert ("hardly moves beyond its noise" in found.caution) == (said == "not judged")
+    assert ("poorly" in found.caution) == (said != "not judged")
+    told = predictions_told([found], SimpleNamespace(predicted="", models=()))
+    assert f"the model is {said} on 1" in told
+    assert ("does worst on q" in told) == (said in ("poor", "fair"))
 
 
 @pytest.mark.slow
@@ -109,10 +125,8 @@ def test_an_error_of_the_size_of_the_noise_is_not_held_against_the_model(content
         dataclasses.replace(v, noise=v.rms / size) for v, size in zip(found, [1, 1.5], strict=True)
     ]
     assert [v.noisy for v in loud] == [True, False]
-    assert [v.caution.endswith("it hardly moves where it is judged.") for v in loud] == [
-        True,
-        False,
-    ]
+    poor = [dataclasses.replace(v, theil=0.9) for v in loud]
+    assert [(v.word, v.noisy) for v in poor] == [("not judged", True), ("poor", False)]
     unknown = verdicts(validation, changed(content, output_error=dataclasses.replace(fit, R=None)))
     assert np.isnan([v.residual for v in unknown]).all()
 

@@ -67,3 +67,18 @@ def test_what_records_cannot_give_a_stage_is_refused_as_they_are_read(tmp_path):
     study = read_study(write_study(tmp_path, three, ("[records.validation]", table)))
     with pytest.raises(ValueError, match=r"study.toml: \[choice\] leaves .*there are fewer; fly"):
         read_records(study)
+
+
+def test_what_is_in_no_estimate_may_rest_and_what_is_may_not(tmp_path):
+    checked = '[channels]\ncheck = ["psi"]\n[channels.units]'
+    path = write_study(tmp_path, ("[channels.units]", checked), ("noise = true", "noise = false"))
+    for file in tmp_path.glob("*.csv"):
+        head, *rows = file.read_text(encoding="utf-8").splitlines()
+        own = [f"{head},psi", *(f"{row},1.5" for row in rows)]
+        file.write_text("\n".join(own) + "\n", encoding="utf-8")
+    assert read_records(read_study(path))["identification"][0].outputs == ("p", "phi")
+    text = path.read_text(encoding="utf-8")
+    text = text.replace(checked, "[channels]\ncolumns = { phi = 'psi' }\n[channels.units]")
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match="output 'phi' is constant"):
+        read_records(read_study(path))
