@@ -23,6 +23,7 @@ from casid.textfile import write_text
 SHOWN = 40  # names of columns that a message lists
 CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
 DIGITS, EXACT = 10, 17  # of a value in a CSV file; those that are enough for every double
+COMMENT = "#"
 CLOCK = 1e-5  # of the sampling interval: what an instant in a CSV file may be off
 HEADER_CHARACTERS = 2**17  # a longer first line is no header
 
@@ -289,8 +290,7 @@ def _csv_values(path: Path, columns: list[str], positions: list[int]) -> Array:
         nonlocal line
         for line, text in enumerate(file, 1):
             if line > 1 and text.strip():
-                if (cells := text.count(",") + 1) != len(columns):
-                    raise ValueError(f"{cells} cells, the header has {len(columns)}")
+                _check_row(text, len(columns))
                 yield text
 
     def read(converter: Any) -> Array:  # noqa: ANN401 - NumPy's own type
@@ -312,10 +312,20 @@ def _csv_values(path: Path, columns: list[str], positions: list[int]) -> Array:
         ) from error
 
 
+def _check_row(text: str, wanted: int) -> None:
+    """Refuse a line that is no row of as many cells as the header has."""
+    if text.lstrip().startswith(COMMENT):
+        raise ValueError(f"it begins with {COMMENT!r}, a comment: leave such lines out")
+    if (cells := text.count(",") + 1) != wanted:
+        raise ValueError(f"{cells} cells, the header has {wanted}")
+
+
 def _find(name: str, columns: list[str], path: Path, other: str) -> int:
     if name not in columns:
         shown = ", ".join(columns[:SHOWN]) + ", ..." * (len(columns) > SHOWN)
         hint = header_hint(columns) or f"; say so with {other}"
+        if columns[0].startswith(COMMENT):
+            hint = f". Its first line begins with {COMMENT!r}: names stand there, without that mark"
         raise ValueError(f"{path}: no column {name!r}; it has {shown[:2000]}{hint}")
     if columns.count(name) > 1:
         raise ValueError(

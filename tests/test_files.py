@@ -83,6 +83,13 @@ def test_trim_is_removed_on_reading_and_written_back(tmp_path):
             "line 2: could not convert string 'two' to float64; .* a decimal point",
         ),
         ("t,lat,p,phi\n0,1,2,3\n1,2,3\n", {}, "line 3: 3 cells, the header has 4"),
+        (
+            "t,lat,p,phi\n0,1,2,3\n # pilot: x, y, z\n",
+            {},
+            "line 3: it begins with '#', a comment: leave such lines out",
+        ),
+        ("# pilot: x\nt,lat,p,phi\n0,1,2,3\n", {}, "first line begins with '#': names stand"),
+        ("# t,lat,p,phi\n0,1,2,3\n", {}, "first line begins with '#': names stand there, without"),
         ("t,lat,x,p,phi\n0,1,0,2,3\n\n1,0,2,3\n", {}, "line 4: 4 cells, the header has 5"),
         ("t,lat,p,phi\n0,1,2,3,\n", {}, "line 2: 5 cells, the header has 4"),
         ("t,lat,p,phi\n0,1,2,3\n", {"units": {"q": "deg"}}, "units name channel 'q', which is not"),

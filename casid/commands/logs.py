@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 import click
 import numpy as np
@@ -17,6 +18,7 @@ from casid.excitations import Excitation
 from casid.logs.drafting import Draft, import_log
 from casid.logs.reading import read_log
 from casid.logs.topics import Log
+from casid.record import Hold
 
 SHOWN = 1e-3  # s of delay between topics that are told
 
@@ -27,6 +29,11 @@ SHOWN = 1e-3  # s of delay between topics that are told
 @COLUMN
 @UNIT
 @click.option("--dt", type=float, help="Sampling interval of the records [s].")
+@click.option(
+    "--hold",
+    type=click.Choice(get_args(Hold)),
+    help="What inputs did between samples, lines or steps; as they look unless given.",
+)
 @click.option("--output", "-o", metavar="FOLDER", help="Where to write; LOG's name unless given.")
 @click.option("--fresh", is_flag=True, help="Replace a study that is there.")
 @click.option("--list", "only", is_flag=True, help="List topics and columns; write nothing.")
@@ -36,6 +43,7 @@ def import_command(
     renamed: dict[str, str],
     units: dict[str, str],
     dt: float | None,
+    hold: Hold | None,
     output: str | None,
     fresh: bool,
     only: bool,
@@ -58,7 +66,7 @@ def import_command(
             _list(console, read_log(log), columns=True)
             return
         how = {"columns": renamed, "units": units}
-        draft = import_log(log, output, model=model, **how, dt=dt, fresh=fresh)
+        draft = import_log(log, output, model=model, **how, dt=dt, hold=hold, fresh=fresh)
         _list(console, draft.log, columns=False)
         _show(console, draft)
 

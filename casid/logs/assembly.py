@@ -7,7 +7,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.consistency.lags import correlations, peak
-from casid.display import counted
+from casid.display import counted, listed
 from casid.logs.conventions import continuous
 from casid.logs.sources import Source
 from casid.record import FEWEST, MOST, Hold, Record
@@ -39,7 +39,9 @@ class Lateness:
     correlation: float
 
 
-def usual_dt(inputs: Mapping[str, Source], outputs: Mapping[str, Source]) -> float:
+def usual_dt(
+    inputs: Mapping[str, Source], outputs: Mapping[str, Source], hold: Hold | None = None
+) -> float:
     """The interval [s] that inputs and rates allow, rounded; never less than 10 ms.
 
     A held input is known at all times: where all are, the rates decide, down to 5 ms, among the
@@ -49,7 +51,8 @@ def usual_dt(inputs: Mapping[str, Source], outputs: Mapping[str, Source]) -> flo
     slowest = max(source.topic.interval for source in inputs.values())
     fastest = min(source.topic.interval for source in inputs.values())
     wanted = max(rates, STEPPED) * (1 - ROUGHLY)
-    if fastest > wanted and all(map(in_steps, inputs.values())):
+    held = hold == "zoh" or (hold is None and all(map(in_steps, inputs.values())))
+    if fastest > wanted and held:
         return float(f"{fastest / int(fastest / wanted):.2g}")
     return max(FASTEST, float(f"{max(slowest, rates):.2g}"))
 
@@ -82,13 +85,18 @@ def _on(source: Source, start: float, dt: float) -> bool:
     return bool(near.mean() > MOSTLY)
 
 
-def hold_told(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> list[str]:
+def hold_told(
+    inputs: Mapping[str, Source],
+    outputs: Mapping[str, Source],
+    dt: float,
+    hold: Hold | None = None,
+) -> list[str]:
     """What is taken of every input between its samples, and what that changes, a sentence each."""
-    held = hold_of(inputs, outputs, dt) == "zoh"
+    held = (hold or hold_of(inputs, outputs, dt)) == "zoh"
     said = []
     for name, source in inputs.items():
         half = f"half its interval, {500 * source.topic.interval:.3g} ms,"
-        if in_steps(source):
+        if hold == "zoh" or (hold is None and in_steps(source)):
             how = 'held between its samples (hold "zoh")' if held else "lines through their middles"
             said.append(f"{name} moves by steps: {how}; were it lines, delays were {half} longer")
         else:
@@ -99,14 +107,37 @@ def hold_told(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: f
     return said
 
 
+def hold_doubt(inputs: Mapping[str, Source], hold: Hold | None = None) -> list[str]:
+    """What delays owe to it that inputs which move by steps are taken as held, [] if to none.
+
+    Not of a log so fast that records are no faster, nor if lines are asked for.
+    """
+    names = [name for name, source in inputs.items() if in_steps(source)]
+    longest = max((inputs[name].topic.interval for name in names), default=0.0)
+    if hold == "foh" or longest < STEPPED * (1 - ROUGHLY):
+        return []
+    return [
+        f"{listed(names)} {'moves' if len(names) == 1 else 'move'} by steps and count as held "
+        f"between samples, {1000 * longest:.3g} ms apart: if what drove the aircraft moved in "
+        f"between, as of a controller faster than the log, delays are some {500 * longest:.3g} ms, "
+        "half an interval, longer than estimated: import the log as lines, too (casid import "
+        "--hold foh), and compare"
+    ]
+
+
 def assemble(
-    inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float, name: str
+    inputs: Mapping[str, Source],
+    outputs: Mapping[str, Source],
+    dt: float,
+    name: str,
+    hold: Hold | None = None,
 ) -> list[Record]:
     """Records of a log's channels every ``dt`` [s], one a stretch in which inputs were logged.
 
     Outputs stand at the instants their samples were taken, inputs at those they were sent. Faster
     channels pass one filter, but for inputs that stay held; slower outputs are empty between their
-    samples. Where lines are made of an input that is held, they run through means of its steps.
+    samples. Where lines are made of an input that is held, they run through means of its steps,
+    but through its samples if lines are asked for by ``hold``.
     """
     clocks = {id(source.topic): source.topic for source in inputs.values()}
     start = max(float(topic.t[0]) for topic in clocks.values())
@@ -119,7 +150,7 @@ def assemble(
     ]
     for lost, back in sorted([*losses, (end, end)]):
         if lost - start >= FEWEST * dt:
-            records += _records(inputs, outputs, (start, min(lost, end)), dt, name)
+            records += _records(inputs, outputs, (start, min(lost, end)), (dt, hold), name)
         start = max(start, back)
     return records
 
@@ -128,10 +159,10 @@ def _records(
     inputs: Mapping[str, Source],
     outputs: Mapping[str, Source],
     span: tuple[float, float],
-    dt: float,
+    how_sampled: tuple[float, Hold | None],
     name: str,
 ) -> list[Record]:
-    every = {**inputs, **outputs}
+    every, (dt, asked) = {**inputs, **outputs}, how_sampled
     step = min(dt, *(source.topic.interval for source in every.values()))
     step = dt / max(1, int(dt / step + 0.5))
     if (n := int((span[1] - span[0]) / step)) > MOST:
@@ -139,7 +170,7 @@ def _records(
             f"{name}: {counted(n, 'sample')} every {step:g} s in one stretch, at most {MOST}"
         )
     t = span[0] + step * np.arange(n + 1)
-    hold = hold_of(inputs, outputs, dt)
+    hold = asked or hold_of(inputs, outputs, dt)
     columns = []
     for channel, source in every.items():
         own = source.topic.t
@@ -150,7 +181,7 @@ def _records(
         how: Between = hold if channel in inputs else "smooth"
         if near.sum() <= 3:
             columns.append(np.nan * t)
-        elif channel in inputs and hold == "foh" and in_steps(source):
+        elif channel in inputs and hold == "foh" and asked is None and in_steps(source):
             columns.append(_means(own[near], x, t, step))
         else:
             columns.append(at_instants(taken[near], x, t, how))

@@ -17,7 +17,7 @@ from casid.display import counted
 from casid.errors import DataWarning
 from casid.excitations import excitation_if_any
 from casid.files import write_csv
-from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
+from casid.logs.assembly import Lateness, assemble, delays, hold_doubt, hold_told, usual_dt
 from casid.logs.axes import axes_structure
 from casid.logs.commands import still, undriven
 from casid.logs.conventions import (
@@ -34,7 +34,7 @@ from casid.logs.topics import Log
 from casid.logs.unseen import unseen
 from casid.model import Model
 from casid.outlying import outliers
-from casid.record import REST, Record
+from casid.record import REST, Hold, Record
 from casid.structure.modelfile import load_model, locate_model
 from casid.textfile import write_text
 from casid.threads import one_thread
@@ -47,7 +47,7 @@ TEMPLATE = """\
 [study]
 title = {title}
 output = "out"
-
+{notes}
 [model]
 file = {model}
 
@@ -120,6 +120,7 @@ def import_log(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     dt: float | None = None,
+    hold: Hold | None = None,
     fresh: bool = False,
 ) -> Draft:
     """Records, a structure and a study that runs, from a log.
@@ -140,6 +141,9 @@ def import_log(
         Units of channels, ``{"p": "deg/s"}``, where the log states none or a wrong one.
     dt : float
         Sampling interval [s] of the records.
+    hold : {"foh", "zoh"}
+        What inputs did between their samples, lines through these or steps; as they look unless
+        given.
     fresh : bool
         Replace a study that is there.
 
@@ -161,16 +165,16 @@ def import_log(
         )
     inputs, outputs = _channels(log, columns, dict(units or {}), model)
     assumed = check_units(log.path, {**inputs, **outputs})
-    dt = usual_dt(inputs, outputs) if dt is None else dt
-    assumed += hold_told(inputs, outputs, dt)
+    dt = usual_dt(inputs, outputs, hold) if dt is None else dt
+    assumed += hold_told(inputs, outputs, dt, hold)
     with _naming(log.path):
-        records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
+        records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"), hold)
         moves = _moves(records, outputs)
         cut = _stretches(log, records, inputs)
         sound = [_sound(each.record) for each in cut]
         found = [_judged(*each, moves) for each in zip(cut, sound, strict=True)]
         late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
-        _write(study, log, found, model, assumed, moves)
+        _write(study, log, found, model, (assumed, hold_doubt(inputs, hold)), moves)
         doubts = _doubts(log, [each.record for each in found], sound, moves)
         doubts += left_out(records, found)
     return Draft(
@@ -333,10 +337,10 @@ def _write(
     log: Log,
     found: Sequence[Stretch],
     model: str | None,
-    assumed: Sequence[str],
+    said: tuple[Sequence[str], Sequence[str]],
     moves: Mapping[str, float],
 ) -> None:
-    """Write records, structure and study."""
+    """Write records, structure and study; ``said``: what is assumed, and told with the results."""
     kept = unseen([each.moved for each in found])
     parts = [[found[k].record for k in range(len(found)) if (k in kept) == own] for own in (0, 1)]
     for record in (*parts[0], *parts[1]):
@@ -363,7 +367,8 @@ def _write(
         else "",
         "log": log.path.name,
         "kind": log.kind,
-        "assumed": "".join(f"# {each}\n" for each in assumed),
+        "assumed": "".join(f"# {each}\n" for each in said[0]),
+        "notes": f"notes = {json.dumps(said[1])} # told with the results\n" if said[1] else "",
         "hold": json.dumps(found[0].record.hold),
         "title": json.dumps(log.path.stem),
         "model": json.dumps(reference),

@@ -131,7 +131,7 @@ def run_study(
     watch.end(clock[0])
     with claimed(study.output):
         keeper = Keeper(study, watch, clock, fresh=fresh, command=command)
-        keeper.warnings += said
+        keeper.warnings += [*said, *study.notes]
         before = made(study)
         outcome = _run(study, *flown, keeper)
         own = delete_earlier(study, before)

@@ -154,6 +154,7 @@ class Study:
     design: NextFlight = field(default_factory=NextFlight)
     png: bool = False  # whether figures are written as PNG beside the SVG
     responses: tuple[str, ...] = ()  # of the refinement, as the file names them
+    notes: tuple[str, ...] = ()  # what is to be told with the results
 
     def spare(self, *names: str) -> None:
         """Refuse files in the folder of results that the study itself is read from: ValueError."""

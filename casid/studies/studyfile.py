@@ -57,7 +57,7 @@ def read_study(
     top.only(("study", "model", "channels", "records", "noise", "design", *tables))
     model, model_file, fixed, bounds = _model(top.table("model", needed=True), path.parent)
     heading = top.table("study")
-    heading.only(("title", "output", "png"))
+    heading.only(("title", "output", "png", "notes"))
     folder = heading.take("output", str, "out")
     channels = _channels(top.table("channels"), type(model))
     noise = _noise(top.table("noise"), channels) if "noise" in top.content else None
@@ -81,6 +81,7 @@ def read_study(
         responses=responses,
         design=read_settings(top.table("design"), NextFlight()),
         png=heading.take("png", bool, False),
+        notes=heading.names("notes"),
     )
     with placed(f"{path}:"):  # before any record is read, what the stages would refuse
         check_task(study.task(flown))

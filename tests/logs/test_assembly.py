@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from truths.logs import LATE, RATES, STICKS, flight, ulog
 
 from casid import StateSpace, read_csv, read_log, write_csv
@@ -9,6 +10,7 @@ from casid.logs.assembly import (
     _means,
     _picked,
     assemble,
+    hold_doubt,
     hold_of,
     hold_told,
     in_steps,
@@ -18,6 +20,8 @@ from casid.logs.assembly import (
 from casid.logs.conventions import derived, find_channels, others
 from casid.logs.sources import Source
 from casid.logs.topics import Topic
+
+LAGS = np.arange(-0.02, 0.03, 0.001)
 
 
 def channels(tmp_path, **options):
@@ -249,3 +253,43 @@ def test_smooth_commands_are_lines():
     command = source(t, np.sin(t))
     assert not in_steps(command)
     assert hold_of({"u": command}, {"p": command}, 0.01) == "foh"
+
+
+def test_commands_logged_slower_than_they_were_made_are_half_an_interval_late_as_steps():
+    """Jumps at any instant, logged every 20 ms: lines through samples have their area."""
+    rng, t = np.random.default_rng(5), 0.02 * np.arange(2000)
+    at = 1 + np.cumsum(rng.uniform(0.25, 0.65, 80))
+    x = (np.searchsorted(at, t, side="right") % 2).astype(float)
+    inputs = {"u": source(t, x)}
+    fine = 0.001 * np.arange(40_000)
+    outputs = {"p": source(fine[::5], np.sin(fine[::5]), "M")}
+    found = {}
+    for hold in ("zoh", "foh"):
+        dt = usual_dt(inputs, outputs, hold)
+        (record,) = assemble(inputs, outputs, dt, "flight", hold)
+        assert record.hold == hold
+        kind = {"zoh": "previous", "foh": "linear"}[hold]
+        u = scipy.interpolate.interp1d(record.t, record.u[:, 0], kind, bounds_error=False)(fine)
+        found[hold] = u
+    inside = (fine > 0.5) & (fine < 39)
+    own = (np.searchsorted(at, fine, side="right") % 2).astype(float)[inside]
+    late = {}
+    for hold, u in found.items():
+        misses = [np.sum((u[inside] - np.interp(fine[inside] - lag, fine[inside], own)) ** 2)
+                  for lag in LAGS]  # fmt: skip
+        late[hold] = LAGS[int(np.argmin(misses))]
+    assert late["zoh"] == pytest.approx(0.010, abs=0.002)
+    assert late["foh"] == pytest.approx(0.0, abs=0.002)
+    (said,) = hold_doubt(inputs)
+    assert "20 ms apart" in said
+    assert "some 10 ms, half an interval, longer" in said
+    assert "--hold foh" in said
+    assert hold_doubt(inputs, "foh") == []
+    assert "shorter" in hold_told(inputs, outputs, 0.02, "foh")[0]
+
+
+def test_no_doubt_is_told_of_lines_and_of_fast_logs():
+    t = 0.02 * np.arange(2000)
+    assert hold_doubt({"u": source(t, np.sin(t))}) == []
+    fast = 0.0025 * np.arange(8000)
+    assert hold_doubt({"u": source(fast, np.sign(np.sin(fast)))}) == []

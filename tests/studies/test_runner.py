@@ -92,3 +92,15 @@ def test_the_table_of_parameters_reads_back_as_it_was(tmp_path):
         for name in ("value", "std_error", "lower", "upper"):
             assert float(told[name]) == pytest.approx(getattr(row, name), rel=1e-9, nan_ok=True)
         assert told["fixed"] == str(row.fixed).lower()
+
+
+@pytest.mark.slow
+def test_notes_of_a_study_stand_among_its_cautions(tmp_path):
+    path = write_study(tmp_path, ("[study]", "[study]\nnotes = ['Flown in rain.']"))
+    for _ in range(2):  # the second as it was written
+        outcome = run_study(read_study(path))
+        assert "Flown in rain." in outcome.cautions
+    assert "Flown in rain." in outcome.report.read_text(encoding="utf-8")
+    path = write_study(tmp_path, ("[study]", "[study]\nnotes = 3"))
+    with pytest.raises(ValueError, match="notes = 3, expected list or str"):
+        read_study(path)
