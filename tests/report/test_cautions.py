@@ -179,7 +179,8 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
     ),
     "validated at rest": (
         [], None, changed("random", without_stick),
-        ["Output phi of the validation records is not judged: it hardly moves beyond its noise"],
+        ["Output phi of the validation records is predicted poorly",
+         "Output p of the validation records is not judged: it hardly moves beyond its noise"],
     ),
     "validated without an output": (
         [("[match]", BANDS)], None, changed("random", unmeasured),
