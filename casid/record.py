@@ -352,8 +352,8 @@ class Record(Shown):
         else:
             raise ValueError(f'detrend={how!r}: expected "first", "mean", a mapping or None')
         names = (*self.inputs, *self.outputs)
-        for name in [each for each in names if each not in trim]:
-            raise ValueError(f"record {self.name!r}: no trim value for channel {name!r}")
+        if missing := [name for name in names if name not in trim]:
+            raise ValueError(f"record {self.name!r}: no trim value for channel {missing[0]!r}")
         u = self.u - [trim[name] for name in self.inputs]
         y = self.y - [trim[name] for name in self.outputs]
         own = {name: self.trim.get(name, 0.0) + trim[name] for name in names}
