@@ -40,12 +40,18 @@ class Disagreement(NamedTuple):
 
     square: float  # χ² of as many degrees of freedom, if they agree
     freedom: int
-    apart: Array  # (nf,) the others' estimate less that of all, in standard errors of that
+    apart: Array  # (m,) the others' estimate less that of all, in standard errors of that
+    step: Array  # (m,) the same, in units of the parameters
+
+    @property
+    def chance(self) -> float:
+        """By which sources that agree are as far apart."""
+        return float(chdtrc(self.freedom, self.square)) if self.freedom else 1.0
 
     @property
     def significant(self) -> bool:
         """Whether chance makes it so large seldom enough."""
-        return bool(self.freedom and chdtrc(self.freedom, self.square) < SELDOM)
+        return self.chance < SELDOM
 
     def told(self, names: tuple[str, ...]) -> str:
         """How far, in words."""
@@ -60,8 +66,11 @@ class Disagreement(NamedTuple):
         )
 
 
-def disagreement(source: Source, P: Array, V: Array) -> Disagreement:
-    """How far a source is from all others; P, V (nf, nf) as above, zero of what is held."""
+def disagreement(source: Source, P: Array, V: Array, told_of: Array | None = None) -> Disagreement:
+    """How far a source is from all others; P, V (nf, nf) as above, zero of what is held.
+
+    ``told_of`` (m, nf) are combinations of which is told how far; the parameters unless given.
+    """
     size = np.sqrt(np.diag(P))
     unit = np.where(size > 0, size, 1.0)
     values, axes = np.linalg.eigh(P / np.outer(unit, unit))
@@ -80,9 +89,11 @@ def disagreement(source: Source, P: Array, V: Array) -> Disagreement:
     u = root[:, told].T @ source.g
     square = float(np.sum((axes.T @ (u / plain)) ** 2 / factor))
     way = root[:, told] / rest[told]  # the others' estimate less that of all is way @ u
+    way = way if told_of is None else told_of @ way
     std = np.linalg.norm((way * plain) @ axes * np.sqrt(factor), axis=1)
-    apart = np.divide(way @ u, std, out=np.zeros_like(std), where=std > 0)
-    return Disagreement(square, int(told.sum()), apart)
+    step = way @ u
+    apart = np.divide(step, std, out=np.zeros_like(std), where=std > 0)
+    return Disagreement(square, int(told.sum()), apart, step)
 
 
 def misstated(power: Array, independent: float, decided: float) -> float:

@@ -32,6 +32,7 @@ from casid.record import Record
 from casid.records import common_hold, common_units, several
 from casid.shooting import uncertainty
 from casid.shooting.beginnings import warn_of_beginnings
+from casid.shooting.contradiction import warn_of_contradiction
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise, check_gain
 from casid.shooting.knowledge import warn_contradicted, with_knowledge
@@ -167,6 +168,8 @@ class OutputError:
             told = warn_of_innovations if filtering else warn_of_followed
             told(outcome.programme, outcome.solution.x)
             warn_of_beginnings(outcome.programme, outcome.solution.x)
+            std = np.array([fit[name].std_error for name in fit.free_names])
+            warn_of_contradiction(outcome.programme, outcome.solution.x, std)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:
@@ -260,7 +263,10 @@ def output_error(
     Fit
         ``cost`` is the negative logarithm of the likelihood, ½ Σ (rᵀR⁻¹r + log det R), less its
         constant ½ n log 2π; ``std_error`` allows for residuals correlated in time and across
-        outputs, ``cramer_rao`` does not.
+        outputs, ``cramer_rao`` does not. In the time domain and without process noise a
+        `DataWarning` names the record, or the few, by which estimates move and without which the
+        others agree: one of a wrong trim, unit or gain. It is not told where the others contradict
+        each other, too, as where the structure misses something.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """What an output-error solution says about its own precision."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -328,17 +328,9 @@ def _coloured(
 
     And scores of whole records, if the scatter of estimates is in these alone.
     """
-    e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
-    sweep = programme.blocks(x).sweep
-    nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
-    move = np.zeros((programme.J, nf + nx + ny, nf))  # chronological
-    move[:, :nf] = np.diag(s.lam)
-    move[:, nf : nf + nx] = follow[first - nf :].reshape(programme.J, nx, nf) * s.state[:, None]
-    if programme.biases:
-        bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
-        move[:, nf + nx :] = bias[programme.record]
+    nf, s, sweep = programme.evaluator.nf, programme.scales, programme.blocks(x).sweep
     data, (scores, shares) = uncertainty.coloured_covariance(
-        covariance, whitened(programme, x), lambda root: sweep.influence(move[layout.node] @ root)
+        covariance, whitened(programme, x), slopes(programme, x, follow)
     )
     n = len(programme.free.index)
     unit, known = s.lam[:n], covariance[:, :n]
@@ -352,3 +344,22 @@ def _coloured(
     if nf > n or surprise.any() or not len(scores):
         return np.asarray(total), NO_SCORES
     return np.asarray(total), (scores / unit, shares / np.outer(unit, unit))
+
+
+def slopes(
+    programme: Programme, x: Array, follow: Array
+) -> Callable[[Array], Iterator[Iterator[Array]]]:
+    """Total derivatives of every record's whitened residuals by the scaled unknowns.
+
+    ``follow`` is as `information` has it; they come times an (nf, k) array, in pieces (n, ny, k).
+    """
+    e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
+    sweep = programme.blocks(x).sweep
+    nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
+    move = np.zeros((programme.J, nf + nx + ny, nf))  # chronological
+    move[:, :nf] = np.diag(s.lam)
+    move[:, nf : nf + nx] = follow[first - nf :].reshape(programme.J, nx, nf) * s.state[:, None]
+    if programme.biases:
+        bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
+        move[:, nf + nx :] = bias[programme.record]
+    return lambda root: sweep.influence(move[layout.node] @ root)

@@ -19,6 +19,7 @@ from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.evidence import few_data
 from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import held_by_bounds, uncertain
+from casid.shooting.contradiction import OPPOSED
 from casid.shooting.knowledge import CONTRADICTS
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
@@ -140,7 +141,9 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
             "and match are of one flight condition and were left out."
         )
     doubts = uncertain(last, lacking=enough(content.results) is False)
-    known = (Caution(each, 3) for each in content.warnings if each.startswith(CONTRADICTS))
+    known = (
+        Caution(each, 3) for each in content.warnings if each.startswith((CONTRADICTS, OPPOSED))
+    )
     said = (*known, *held_by_bounds(last), *few_data(last, content), *doubts)
     more: Any = {"answer": not_believed(content, last), "lead": lead, "cautions": said}
     yield section("parameters", "Parameters", 10, last, values=values, **more)

@@ -1,0 +1,113 @@
+"""A record that contradicts the others: found in flights, and seldom told by chance."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter, lsim
+
+from casid import DataWarning, Model, Record, Rows, Scalar, output_error, parameter
+from casid.shooting.agreement import Source
+from casid.shooting.contradiction import OPPOSED, contradiction
+from casid.shooting.discord import Records
+
+T = np.arange(0, 6, 0.05)
+
+
+class Roll(Model):
+    """p' = Lp p + Llat lat, and the roll angle."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
+
+    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=8.0, lower=0.0, upper=60.0, unit="rad/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Lp, 0], [1, 0]]
+
+    def B(self) -> Rows:
+        return [[self.Llat], [0]]
+
+
+def flown(count, seed):
+    """Records of Lp = -4, Llat = 10."""
+    rng = np.random.default_rng(seed)
+    system = [[-4.0, 0.0], [1.0, 0.0]], [[10.0], [0.0]], np.eye(2), np.zeros((2, 1))
+    made = []
+    for k in range(count):
+        u = 0.2 * np.sign(np.sin((1.5 + 0.5 * k) * T)) * (T > 0.5)
+        y = lsim(system, u, T)[1] + rng.standard_normal((len(T), 2)) * [0.03, 0.01]
+        made.append(Record(T, u[:, None], y, Roll.inputs, Roll.outputs, f"flight {k}"))
+    return made
+
+
+def told(records, **settings):
+    """The fit and what is said of records that contradict each other."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataWarning)
+        fit = output_error(Roll(), records, **settings)
+    return fit, [str(each.message) for each in caught if str(each.message).startswith(OPPOSED)]
+
+
+@pytest.mark.second
+def test_a_stick_of_another_gain_is_told_with_what_its_record_moves():
+    records = flown(4, seed=1)
+    records[2] = replace(records[2], u=1.3 * records[2].u)
+    fit, (said,) = told(records)
+    assert ": flight 2 and all others, which agree (chi-square of" in said
+    assert "biases or state_biases free what is constant; leave it out" in said
+    without, nothing = told([each for each in records if each.name != "flight 2"])
+    assert nothing == []
+    moved = (without.model.Llat - fit.model.Llat) / fit["Llat"].std_error
+    stated = float(said.partition("Llat by ")[2].split(";")[0].split(",")[0])
+    assert moved == pytest.approx(stated, rel=0.2)  # to first order
+
+
+def test_true_flights_are_not_told():
+    records = flown(3, seed=2)
+    assert told(records)[1] == told(records, biases=False)[1] == []
+
+
+def drawn(rng, n, colour, loud, off=0.0):
+    """P, residuals and slopes of least squares of records with noise of a colour, as flown."""
+    slopes = [
+        lfilter([1], [1, -0.9], rng.standard_normal((k, 2, n)), axis=0) for k in (150, 90, 220)
+    ]
+    noise = [lfilter([1], [1, -colour], rng.standard_normal((len(s), 2)), axis=0) for s in slopes]
+    noise[0] *= loud
+    noise[1] = noise[1] + off * slopes[1][:, :, 0]
+    noise = [e / np.std(np.concatenate(noise)) for e in noise]
+    F = np.sum([np.einsum("nik,nil->kl", s, s) for s in slopes], axis=0)
+    P = np.linalg.inv(F)
+    step = P @ np.sum(
+        [np.einsum("nik,ni->k", s, e) for s, e in zip(slopes, noise, strict=True)], axis=0
+    )
+    left = [e - s @ step for s, e in zip(slopes, noise, strict=True)]
+    return P, left, lambda root: ([s @ root] for s in slopes)
+
+
+@pytest.mark.second
+@pytest.mark.parametrize("colour", [0.0, 0.7])
+@pytest.mark.parametrize("loud", [1.0, 2.0])
+def test_chance_is_told_as_seldom_as_said_and_an_own_parameter_always(colour, loud):
+    rng = np.random.default_rng(4)
+    assert sum(contradiction(*drawn(rng, 3, colour, loud)) is not None for _ in range(150)) <= 1
+    for _ in range(5):
+        found = contradiction(*drawn(rng, 3, colour, loud, off=2.0))
+        assert 1 in found.which
+
+
+def test_residuals_that_are_not_white_are_not_taken_for_such():
+    # Of white residuals the same slopes would often contradict each other.
+    rng, white = np.random.default_rng(5), 0
+    for _ in range(20):
+        P, left, along = drawn(rng, 3, 0.9, 1.0)
+        root = np.linalg.cholesky(P)
+        pairs = zip(left, along(root), strict=True)
+        found = [
+            (np.einsum("nik,ni->k", s, e), np.einsum("nik,nil->kl", s, s)) for e, (s,) in pairs
+        ]
+        white += Records([Source(-g, F, F) for g, F in found], root).agree()
+        assert contradiction(P, left, along) is None
+    assert white < 15
