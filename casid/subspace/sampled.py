@@ -1,8 +1,8 @@
 """Black boxes of the samples themselves, chosen by the simulation of stretches held out.
 
 The second half of every record is cut into stretches. Each is simulated by the model of all before
-it and of the other records, from the initial state of least squares over what was learnt of its
-record; the stretches are judged as one. First the orders, with the subspace estimate as it is and
+it and of the other records, from the initial state and trim of least squares over what was learnt
+of its record; the stretches are judged as one. First the orders, with the subspace estimate as it is and
 with B, K and D regressed anew; then, at the best orders, what moves the poles as well. Simulations
 show most what a model leaves out where the process is slow or hardly damped: the place of samples.
 Many outputs leave little to refine in the subspace estimate, and there nothing is moved.
@@ -35,6 +35,7 @@ REFINED = 2  # of the best orders: those whose poles are moved
 COARSE = 1 / 3  # rad a sample, of the inputs: where they reach less, projections lose nothing
 BLOCK = 4096  # rows of a regression at once
 HUGE = 1e100  # what is larger is no simulation
+ROUNDING = 1e-10  # relative to what is added up: what is smaller is none of it
 GROWTH = 2.0  # of an exponent over the longest record: what grows more cannot be simulated
 
 
@@ -165,7 +166,9 @@ def _learnt(campaign: Campaign, order: int, windows: Windows, how: Refinement) -
 
 
 def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
-    """Errors (N, ny) of a stretch, simulated from the initial state of what is before it."""
+    """Errors (N, ny) of a stretch, simulated from the state and trim of what is before it."""
+    # The trim of the inputs is no mean of theirs: what integrates them would drift away. Nor is
+    # that of the outputs while the aircraft is still on its way.
     record, known, sy = fold.shown, fold.known, fold.learnt.sy
     if system.dt is None:
         system = discretised(system, record.dt, record.hold)
@@ -174,16 +177,22 @@ def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
         left = (y - _simulated(system, u)) / sy  # of all outputs alike, in whatever units
         # What is at right angles to C is no effect of the state.
         Q, C = np.linalg.qr(system.C / sy[:, None])
-        basis = _observability(system.A, C, len(u))
+        free = _observability(system.A, C, len(u))
+        steps = np.cumsum(free @ system.B, axis=0)  # of the inputs
+    steps = np.concatenate([0 * steps[:1], steps[:-1]])
+    basis = np.concatenate([free, steps], axis=2)
     if not (np.abs(left).max() < HUGE and np.abs(basis).max() < HUGE):
         raise ValueError("an unstable model cannot be simulated so long")
-    columns = basis[:known].reshape(-1, system.nx)
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    whole = np.linalg.norm(basis[:known], axis=(0, 1))
+    basis, left = (v - v[:known].mean(axis=0) for v in (basis, left))  # but for the outputs' trim
+    columns = basis[:known].reshape(-1, basis.shape[2])
+    # Of what is constant rounding is left, which means nothing.
+    size = np.maximum(np.linalg.norm(columns, axis=0), np.maximum(ROUNDING * whole, 1e-300))
     rows = np.column_stack([columns / size, (left[:known] @ Q).ravel()])
     parts = np.array_split(rows, -(-len(rows) // BLOCK))
     R, _ = accumulate(parts, constant=False)
-    x0 = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=1e-12)[0] / size
-    return np.asarray(sy * (left[known:] - basis[known:] @ x0 @ Q.T))
+    found = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=ROUNDING)[0] / size
+    return np.asarray(sy * (left[known:] - basis[known:] @ found @ Q.T))
 
 
 def _simulated(system: StateSpace, u: Array) -> Array:

@@ -135,21 +135,33 @@ def seen_by_five(N=200):
     return system, Record(t, u, y, system.inputs, system.outputs, "five", "zoh")
 
 
-def test_a_stretch_is_simulated_from_the_best_state_of_all_outputs_before_it():
+def test_a_stretch_is_simulated_from_the_best_state_and_trim_of_all_outputs_before_it():
     system, record = seen_by_five()
     fold = Stretches.of(Campaign.of(record, True)).folds[1]
-    u, y = (v - v[: fold.known].mean(axis=0) for v in (fold.shown.u, fold.shown.y))
-    t = np.arange(len(u), dtype=float)
+    u, y, t = fold.shown.u, fold.shown.y, np.arange(fold.shown.N, dtype=float)
     free = [system.simulate(t, 0 * u, x0=x) for x in np.eye(2)]
+    free += [system.simulate(t, 0 * u + 1), *(0 * y + trim for trim in np.eye(5))]
     left = y - system.simulate(t, u)
     columns, size = np.stack(free, axis=2), fold.learnt.sy  # all outputs count alike
-    x0 = np.linalg.lstsq(
-        (columns[: fold.known] / size[:, None]).reshape(-1, 2),
+    best = np.linalg.lstsq(
+        (columns[: fold.known] / size[:, None]).reshape(-1, 8),
         (left[: fold.known] / size).ravel(),
-        rcond=None,
+        rcond=1e-10,
     )[0]
-    expected = (left - columns @ x0)[fold.known :]
-    np.testing.assert_allclose(_simulation_errors(fold, system), expected, atol=1e-10)
+    expected = (left - columns @ best)[fold.known :]
+    np.testing.assert_allclose(_simulation_errors(fold, system), expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_a_stretch_of_what_integrates_its_inputs_is_simulated_from_any_trim(hold):
+    roll = StateSpace([[-4.0, 0], [1, 0]], [[12.0], [0]], np.eye(2), np.zeros((2, 1)))
+    t, u = 0.02 * np.arange(600), np.zeros((600, 1))
+    for start, size in ((50, 0.1), (80, -0.1), (100, 0.1), (400, 0.2), (420, -0.1)):
+        u[start : start + 20] = size
+    y = roll.simulate(t, u, x0=np.array([0.3, -0.2]), hold=hold) + [0.0, 2.0]
+    record = Record(t, u + 0.47, y, ("u",), ("p", "phi"), "", hold)
+    for fold in Stretches.of(Campaign.of(record, True)).folds:
+        assert np.abs(_simulation_errors(fold, roll)).max() < 1e-9
 
 
 def test_models_of_many_outputs_are_the_subspace_estimates():
