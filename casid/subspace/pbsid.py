@@ -179,22 +179,25 @@ class Pbsid:
 
     def _better(self, campaign: Campaign, projected: BlackBox) -> BlackBox:
         """The black box of projections, or of samples if that predicts clearly better."""
-        tried = self._sample_candidates(campaign)
-        best = choice.best_of(tried)
         own = projected
         windows = Windows(own.past, own.future, own.pole, own.regularisation)
         rival = Stretches.of(campaign).score(own.order, windows, "fourier")
-        if best.score > (CLEARLY * rival.score if rival else 1.0):
+        bound = CLEARLY * rival.score if rival else 1.0
+        tried, best = self._sample_candidates(campaign, bound)
+        if best is None or best.score > bound:
             return projected
-        return self._sampled(campaign, best, self._selection(campaign, tried, rival))
+        selection = self._selection(campaign, [*tried, rival] if rival else tried, best)
+        return self._sampled(campaign, selection.chosen, selection)
 
-    def _sample_candidates(self, campaign: Campaign) -> list[Candidate]:
+    def _sample_candidates(
+        self, campaign: Campaign, bound: float = np.inf
+    ) -> tuple[list[Candidate], Candidate | None]:
         regularisation = self.regularisation or 0.0
         channels = len(campaign.su) + len(campaign.sy)
         pasts = usual_windows(channels) if self.past is None else (self.past,)
         orders = ORDERS if self.order is None else (self.order,)
         windows = [Windows(p, self.future or p, np.nan, regularisation) for p in pasts]
-        return choose_samples(campaign, orders, windows, move=self.refine)
+        return choose_samples(campaign, orders, windows, move=self.refine, bound=bound)
 
     def _sample_settings(self, campaign: Campaign) -> tuple[Candidate, OrderSelection | None]:
         """Settings on samples; chosen unless an order is given."""
@@ -203,23 +206,23 @@ class Pbsid:
             how: Refinement = "prediction" if self.refine else "unrefined"
             windows = Windows(past, past, np.nan, self.regularisation or 0.0)
             return Candidate.of(self.order, windows, how), None
-        tried = self._sample_candidates(campaign)
-        if not tried:
+        tried, best = self._sample_candidates(campaign)
+        if best is None:
             raise ValueError(
                 "no black box of samples can be judged on stretches held out: the records are too "
                 "short, or the aircraft is too unstable to be simulated; give an order"
             )
-        return choice.best_of(tried), self._selection(campaign, tried, None)
+        selection = self._selection(campaign, tried, best)
+        return selection.chosen, selection
 
     def _selection(
-        self, campaign: Campaign, tried: list[Candidate], rival: Candidate | None
+        self, campaign: Campaign, tried: list[Candidate], best: Candidate
     ) -> OrderSelection:
-        all_tried = choice.with_errors([*tried, rival] if rival else tried)
-        best = choice.best_of(all_tried)
+        told = choice.with_errors(tried)
         found = campaign.subspace(best.order, best.windows)
         return OrderSelection(
-            chosen=best,
-            candidates=tuple(all_tried),
+            chosen=told[tried.index(best)],
+            candidates=tuple(told),
             criterion="held-out stretches",
             singular_values=found.singular_values,
         )

@@ -16,9 +16,9 @@ The predictor is handled in modal coordinates (`casid.subspace.modal`): the sign
 are made of are first-order filters of u and y, and one Gram matrix of them serves all outputs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 import scipy
@@ -31,6 +31,9 @@ from casid.subspace import modal as modes
 from casid.subspace.refinement import log_factor
 from casid.subspace.slopes import response_derivative
 from casid.values import storable
+
+States = tuple[ComplexArray, ComplexArray, Array]  # of a stretch, and its errors: `_states`
+Known = Callable[[modes.Modal], list[States]]
 
 ROUNDS = 3  # of estimating the innovations' covariance
 STEPS = 12  # Gauss-Newton steps a round
@@ -153,10 +156,11 @@ def fitted(
         if local:
             data = _levelled(modal, data, W)
             W = _whitener(modal, data, W)
+        known = lru_cache(1)(partial(_all_states, data=data, W=W))  # of the last trial
         modal = modes.descend(
             modal,
-            cost=partial(_cost, data=data, W=W),
-            normal=partial(normal_equations, data=data, W=W, free=free),
+            cost=partial(_cost, known=known, W=W),
+            normal=partial(_normal, known=known, data=data, W=W, free=free),
             tidy=_inside,
             free=free,
             steps=steps,
@@ -199,9 +203,7 @@ def _decay(modal: modes.Modal, N: int) -> ComplexArray:
     return np.asarray(rows[:N])
 
 
-def _states(
-    modal: modes.Modal, stretch: Stretch, W: Array
-) -> tuple[ComplexArray, ComplexArray, Array]:
+def _states(modal: modes.Modal, stretch: Stretch, W: Array) -> States:
     """States and their decay (N, nm) from the best initial state, and weighted errors (N, ny)."""
     decay = _decay(modal, len(stretch.v))
     forced = _filtered(modal.lam, stretch.v @ modal.B.T)
@@ -222,9 +224,14 @@ def _states(
     return forced + decay * modes.to_complex(modal, x0, 1)[:, 0], decay, e - seen
 
 
+def _all_states(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> list[States]:
+    """States of every stretch, see `_states`."""
+    return [_states(modal, each, W) for each in data]
+
+
 def prediction_errors(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> list[Array]:
     """Weighted errors (N, ny) of every stretch with its best initial state and constant."""
-    return [_states(modal, each, W)[2] for each in data]
+    return [e for *_, e in _all_states(modal, data, W)]
 
 
 def _whitener(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> Array:
@@ -247,14 +254,21 @@ def _levelled(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> list[Str
     return [replace(s, weight=typical / each) for s, each in zip(data, level, strict=True)]
 
 
-def _cost(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> float:
-    return sum(float(np.sum((E @ W.T) ** 2)) for E in prediction_errors(modal, data, W))
+def _cost(modal: modes.Modal, known: Known, W: Array) -> float:
+    return sum(float(np.sum((E @ W.T) ** 2)) for *_, E in known(modal))
 
 
 def normal_equations(
     modal: modes.Modal, data: Sequence[Stretch], W: Array, free: np.ndarray
 ) -> tuple[Array, Array]:
-    """Σ Jᵀ R⁻¹ J and Σ Jᵀ R⁻¹ e, initial states and constants eliminated.
+    """Σ Jᵀ R⁻¹ J and Σ Jᵀ R⁻¹ e, initial states and constants eliminated; see `_normal`."""
+    return _normal(modal, partial(_all_states, data=data, W=W), data, W, free)
+
+
+def _normal(
+    modal: modes.Modal, known: Known, data: Sequence[Stretch], W: Array, free: np.ndarray
+) -> tuple[Array, Array]:
+    """Normal equations of a Gauss-Newton step.
 
     Parameters are μ, [B - KD, K] and C by mode (real parts, then imaginary ones), and the free
     entries of D.
@@ -270,8 +284,7 @@ def normal_equations(
     seen = np.einsum("io,oqp->iqp", W, T)  # whitened outputs' derivatives, in signals
 
     total = np.zeros((size + 1, size + 1))
-    for stretch in data:
-        x, decay, e = _states(modal, stretch, W)
+    for stretch, (x, decay, e) in zip(data, known(modal), strict=True):
         v = np.repeat(stretch.v[:, None], len(modal.lam), axis=1)
         slope, channels = _filtered(modal.lam, x), _filtered(modal.lam, v)
         S = _centred(

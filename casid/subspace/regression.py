@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.linear import StateSpace
+from casid.linear import StateSpace, recursion
 from casid.record import Record
 from casid.subspace.prediction import Stretch, stretches
 from casid.subspace.predictor import accumulate, triangular
@@ -61,19 +61,20 @@ def _rows(
     F: Array, C: Array, stretch: Stretch, feedthrough: BoolArray, W: Array
 ) -> Iterator[Array]:
     """Whitened rows of a stretch: derivatives by x(0), c, the columns of (G, K) and D, then y."""
+    # The derivatives by entries i of (G, K) and of x(0) are Σ C F^(k-1-l) e_i v(l) and C F^k e_i:
+    # rows that take one more F a sample, for all i at once.
     ny, nu = feedthrough.shape
     n, nv = len(F), nu + ny
     free = np.argwhere(feedthrough)
-    states = np.hstack([np.eye(n), np.zeros((n, n * nv))])  # by x(0), and by every column of (G, K)
-    row = np.arange(n)
-    own = n + n * np.arange(nv)[:, None] + row  # each state by its entries in the columns
+    state: Array = np.hstack([C.T, np.zeros((n, nv * ny))])  # (n, x(0) and every channel, ny)
     for start in range(0, len(stretch.y), BLOCK):
         v, y = stretch.v[start : start + BLOCK], stretch.y[start : start + BLOCK]
-        seen = np.empty((len(y), ny, n * (1 + nv)))
-        for k, now in enumerate(v):
-            seen[k] = C @ states
-            states = F @ states
-            states[row, own] += now[:, None]
+        driven = np.hstack([np.zeros((len(v), 1)), v])
+        forcing = np.einsum("kc,oi->kico", driven, C).reshape(len(v), n, -1)
+        states = recursion(F.T, forcing, state)
+        state = states[-1]
+        by = states[:-1].reshape(len(v), n, 1 + nv, ny).transpose(0, 3, 2, 1)
+        seen = by.reshape(len(v), ny, -1)
         direct = np.zeros((len(y), ny, len(free)))
         direct[:, free[:, 0], np.arange(len(free))] = v[:, free[:, 1]]
         constant = np.broadcast_to(np.eye(ny), (len(y), ny, ny))

@@ -2,10 +2,13 @@
 
 The second half of every record is cut into stretches. Each is simulated by the model of all before
 it and of the other records, from the initial state and trim of least squares over what was learnt
-of its record; the stretches are judged as one. First the orders, with the subspace estimate as it is and
-with B, K and D regressed anew; then, at the best orders, what moves the poles as well. Simulations
-show most what a model leaves out where the process is slow or hardly damped: the place of samples.
-Many outputs leave little to refine in the subspace estimate, and there nothing is moved.
+of its record; the stretches are judged as one. First the orders, with the subspace estimate as it
+is and with B, K and D regressed anew; then, at the best orders, what moves the poles as well.
+Simulations show most what a model leaves out where the process is slow or hardly damped: the place
+of samples. Many outputs leave little to refine in the subspace estimate, and there nothing is
+moved. Where a simulation leaves no more than one-step predictions do, which know the outputs' past
+as well, that is the sensors' noise, and nothing is left to be found: there the likelihood of
+prediction errors is taken, of which errors are known.
 """
 
 import warnings
@@ -16,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from casid.arrays import Array
-from casid.linear import StateSpace
+from casid.linear import StateSpace, recursion
 from casid.record import Record
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.candidates import Candidate, Refinement
@@ -36,6 +39,7 @@ COARSE = 1 / 3  # rad a sample, of the inputs: where they reach less, projection
 BLOCK = 4096  # rows of a regression at once
 HUGE = 1e100  # what is larger is no simulation
 ROUNDING = 1e-10  # relative to what is added up: what is smaller is none of it
+NOISE = 1.05  # of what one-step predictions leave: what simulations leave no more than is noise
 GROWTH = 2.0  # of an exponent over the longest record: what grows more cannot be simulated
 
 
@@ -66,10 +70,19 @@ def usual_windows(channels: int) -> tuple[int, ...]:
 
 
 def choose_samples(
-    campaign: Campaign, orders: Sequence[int], windows: Sequence[Windows], *, move: bool
-) -> list[Candidate]:
-    """Candidates, each with the power it leaves, for the first windows that give a model."""
+    campaign: Campaign,
+    orders: Sequence[int],
+    windows: Sequence[Windows],
+    *,
+    move: bool,
+    bound: float = np.inf,
+) -> tuple[list[Candidate], Candidate | None]:
+    """Candidates, each with the power it leaves, for the first windows that give a model; the best.
+
+    None that leaves more than a ``bound`` is of use.
+    """
     judge, move = Stretches.of(campaign), move and len(campaign.sy) <= MANY
+    found: list[Candidate] = []
     for each in windows:
         tried = [
             judge.score(order, each, how)
@@ -77,23 +90,40 @@ def choose_samples(
             if order <= each.past * len(campaign.sy)
             for how in (("unrefined", "linear") if move else ("unrefined",))
         ]
-        found = [candidate for candidate in tried if candidate is not None]
+        found = sorted((c for c in tried if c is not None), key=lambda c: c.score)
         if found:
             break
-    else:
-        return []
-    if not move:
-        return found
-    ranked = sorted(found, key=lambda candidate: candidate.score)
-    best = list(dict.fromkeys(candidate.order for candidate in ranked))[:REFINED]
+    if not found or not move:
+        return found, next(iter(found), None)
+    if judge.noise(found[0]) * NOISE >= found[0].score:
+        return _likeliest(judge, found, bound)
+    return _moved(judge, found, bound)
+
+
+def _likeliest(
+    judge: "Stretches", found: list[Candidate], bound: float
+) -> tuple[list[Candidate], Candidate]:
+    """That of prediction errors at the best order, unless it is worse."""
+    best = found[0]
+    if best.score > bound:
+        return found, best
+    likeliest = judge.score(best.order, best.windows, "prediction", best.score * NOISE)
+    return ([*found, likeliest], likeliest) if likeliest else _moved(judge, found, bound)
+
+
+def _moved(
+    judge: "Stretches", found: list[Candidate], bound: float
+) -> tuple[list[Candidate], Candidate]:
+    """The best of all that move the poles at the best orders, and of what was found before."""
+    best, each = list(dict.fromkeys(candidate.order for candidate in found))[:REFINED], found[0]
     more: list[tuple[int, Refinement]] = [(order, "prediction") for order in best]
-    if not judge.fed_back(best[0], each):
+    if not judge.fed_back(best[0], each.windows):
         more += [(best[0], "simulation"), (best[0], "local simulation")]
     for order, how in more:
-        least = min(candidate.score for candidate in found)
-        candidate = judge.score(order, each, how, least)
-        found += [] if candidate is None else [candidate]
-    return found
+        least = min(bound, *(candidate.score for candidate in found))
+        candidate = judge.score(order, each.windows, how, least)
+        found = found if candidate is None else [*found, candidate]
+    return found, min(found, key=lambda candidate: candidate.score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +179,15 @@ class Stretches:
             shares.append(float(len(self.folds) * np.mean((e**2).sum(axis=0) / self.power)))
         return replace(Candidate.of(order, windows, how).scored(shares), score=share)
 
+    def noise(self, candidate: Candidate) -> float:
+        """What one-step predictions of the stretches leave, as `score`, by unmoved poles."""
+        sums = np.zeros((3, len(self.power)))
+        for fold in self.folds:
+            model = _learnt(fold.learnt, candidate.order, candidate.windows, candidate.refinement)
+            e = _prediction_errors(fold, model)
+            sums += [e.sum(axis=0), (e**2).sum(axis=0), np.full(len(self.power), len(e))]
+        return float(np.mean((sums[1] - sums[0] ** 2 / sums[2]) / self.power))
+
     def fed_back(self, order: int, windows: Windows) -> bool:
         """Whether noise that a controller feeds back would bias simulations."""
         c = self.campaign
@@ -195,11 +234,23 @@ def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
     return np.asarray(sy * (left[known:] - basis[known:] @ found @ Q.T))
 
 
+def _prediction_errors(fold: _Fold, model: Estimate) -> Array:
+    """One-step prediction errors (N, ny) of a stretch, but for a constant of what is before it."""
+    system, K, known = model.system, model.K, fold.known
+    u, y = (v - v[:known].mean(axis=0) for v in (fold.shown.u, fold.shown.y))
+    B, D = (
+        np.hstack([system.B - K @ system.D, K]),
+        np.hstack([system.D, np.zeros((K.shape[1],) * 2)]),
+    )
+    predictor = StateSpace(system.A - K @ system.C, B, system.C, D, system.dt)
+    e = y - _simulated(predictor, np.hstack([u, y]))
+    return np.asarray(e[known:] - e[known // 2 : known].mean(axis=0))  # once it has begun
+
+
 def _simulated(system: StateSpace, u: Array) -> Array:
     """Outputs (N, ny) from rest."""
-    x, driven = np.zeros((len(u), system.nx)), u @ system.B.T
-    for k in range(len(u) - 1):
-        x[k + 1] = system.A @ x[k] + driven[k]
+    driven = (u @ system.B.T)[:, :, None]
+    x = recursion(system.A, driven[:-1], np.zeros((system.nx, 1)))[:, :, 0]
     return np.asarray(x @ system.C.T + u @ system.D.T)
 
 

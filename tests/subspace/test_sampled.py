@@ -52,10 +52,10 @@ def test_coarse_samples_of_hardly_damped_modes_are_chosen_without_a_word(chosen)
 
 
 @pytest.mark.campaign
-def test_the_choice_is_the_candidate_that_leaves_least_of_the_stretches(chosen):
+def test_the_choice_leaves_hardly_more_of_the_stretches_than_any_candidate(chosen):
     *_, box = chosen
-    best = min(box.selection.candidates, key=lambda c: c.score)
-    assert best == box.selection.chosen
+    best = box.selection.chosen
+    assert best.score <= 1.05 * min(c.score for c in box.selection.candidates)
     assert (best.order, best.refinement) == (box.order, box.refinement)
     rivals = [c for c in box.selection.candidates if c.refinement == "fourier"]
     assert best.score < min(c.score for c in rivals)
@@ -158,7 +158,7 @@ def test_a_stretch_of_what_integrates_its_inputs_is_simulated_from_any_trim(hold
     t, u = 0.02 * np.arange(600), np.zeros((600, 1))
     for start, size in ((50, 0.1), (80, -0.1), (100, 0.1), (400, 0.2), (420, -0.1)):
         u[start : start + 20] = size
-    y = roll.simulate(t, u, x0=np.array([0.3, -0.2]), hold=hold) + [0.0, 2.0]
+    y = np.array([0.0, 2.0]) + roll.simulate(t, u, x0=np.array([0.3, -0.2]), hold=hold)
     record = Record(t, u + 0.47, y, ("u",), ("p", "phi"), "", hold)
     for fold in Stretches.of(Campaign.of(record, True)).folds:
         assert np.abs(_simulation_errors(fold, roll)).max() < 1e-9
@@ -171,9 +171,9 @@ def test_models_of_many_outputs_are_the_subspace_estimates():
     y = np.hstack([record.y, record.y[:, :4]]) + 0.1 * rng.standard_normal((record.N, 9))
     many = Record(record.t, record.u, y, ("u",), tuple("abcdefghi"), "nine", "zoh")
     given = (1, 2), [Windows(5, 5, np.nan, 0.0)]
-    tried = choose_samples(Campaign.of(many, True), *given, move=True)
+    tried, best = choose_samples(Campaign.of(many, True), *given, move=True)
     assert {c.refinement for c in tried} == {"unrefined"}
-    assert min(tried, key=lambda c: c.score).order == 2
+    assert best.order == 2
 
 
 @pytest.mark.parametrize("how", ["unrefined", "linear"])
@@ -189,3 +189,20 @@ def test_what_a_candidate_is_worth_does_not_depend_on_units(how):
         shares.append(judge.score(4, Windows(10, 10, np.nan, 0.0), how).score)
     assert shares == pytest.approx([shares[0]] * 3, rel=1e-9)
     assert shares[0] < 0.1
+
+
+def test_where_predictions_leave_no_less_the_likelihood_is_taken_and_no_other_tried():
+    _, record = resonant(300)
+    tried, best = choose_samples(
+        Campaign.of(record, True), (3, 4), [Windows(10, 10, np.nan, 0.0)], move=True
+    )
+    assert (best.order, best.refinement) == (4, "prediction")
+    assert {c.refinement for c in tried} == {"unrefined", "linear", "prediction"}
+
+
+def test_one_step_predictions_of_stretches_leave_the_noise_alone():
+    _, record = resonant(noise=0.05)
+    judge = Stretches.of(Campaign.of(record, True))
+    candidate = judge.score(4, Windows(20, 20, np.nan, 0.0), "linear")
+    # Noise of a 0.05th is a 0.0025th of the power; over 300 samples that is known to 8 %.
+    assert judge.noise(candidate) == pytest.approx(0.0025, rel=0.25)
