@@ -11,9 +11,10 @@ import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace
+from casid.record import Record
 from casid.subspace import refinement
 from casid.subspace.fourier import Spectrum
-from casid.subspace.prediction import SampledUncertainty
+from casid.subspace.prediction import SampledUncertainty, prediction_errors, stretches
 from casid.subspace.trust import Missed
 from casid.subspace.weighing import smoothed
 
@@ -65,6 +66,30 @@ def missed_response(
     needed = gain > scipy.special.chdtri(2 * (1 + system.nu + len(data)), SELDOM / len(sy))
     ratio = left.sum(axis=0) / np.maximum(less.sum(axis=0), 1e-300)
     return _farthest(system, richer, uncertainty, band, needed, ratio)
+
+
+def missed_of_samples(
+    system: StateSpace,
+    uncertainty: SampledUncertainty,
+    richer: tuple[StateSpace, SampledUncertainty],
+    records: Sequence[Record],
+    su: Array,
+    sy: Array,
+    band: tuple[float, float],
+) -> Missed | None:
+    """As `missed_response`, of a discrete model refined by one-step prediction errors."""
+    # Needed by the likelihood of all outputs together, N log det Σ e eᵀ, and by those outputs whose
+    # errors it makes less. An innovation model has n (nu + 2 ny) parameters beside D, and the state
+    # that every stretch starts from.
+    other, its = richer
+    data = stretches(records, su, sy, other.nx + 2)
+    white = np.eye(len(sy))
+    E, less = (np.vstack(prediction_errors(u.modal, data, white)) for u in (uncertainty, its))
+    gain = len(E) * (np.linalg.slogdet(E.T @ E)[1] - np.linalg.slogdet(less.T @ less)[1])
+    more = (other.nx - system.nx) * (system.nu + 2 * system.ny + len(data))
+    ratio = (np.sum(E**2, axis=0) + 1e-300) / (np.sum(less**2, axis=0) + 1e-300)
+    needed = (ratio > 1) & (gain > scipy.special.chdtri(more, SELDOM))
+    return _farthest(system, other, uncertainty, band, needed, ratio)
 
 
 def missed_direct(

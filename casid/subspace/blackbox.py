@@ -151,7 +151,7 @@ class BlackBox(Shown):
 
     def doubts(self) -> tuple[str, ...]:
         """Why records do not support a model, a mode of it or its order; empty where they do."""
-        # Empty, too, where it is not known: without refinement, and on samples.
+        # Empty, too, where it is not known: without refinement to maximum likelihood.
         outside = () if self.excitation is None else self.excitation.doubts()
         growth = growth_doubts(self.doubtful)
         doubts = (*self.remarks, *outside, *growth, *order_doubts(self.missed, self.order))

@@ -22,6 +22,7 @@ from casid.linear import StateSpace
 from casid.record import Record
 from casid.records import Records, check_moved
 from casid.subspace import settings as choice
+from casid.subspace.apart import missed_of_samples
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.candidates import Candidate, OrderSelection, Refinement
@@ -36,6 +37,7 @@ from casid.subspace.sampled import (
     choose_samples,
     usual_windows,
 )
+from casid.subspace.trust import Missed
 from casid.threads import one_thread
 from casid.values import storable
 
@@ -236,7 +238,33 @@ class Pbsid:
         if campaign.mask.any() and direct_term_is_ambiguous(stack):
             _warn_direct_term(np.array(found.system.outputs)[campaign.mask.any(axis=1)])
         estimate = refine_sampled(campaign, found, settings.refinement)
-        return self._black_box(campaign, settings, estimate, chosen)
+        missed = self._missed(campaign, settings, estimate)
+        while chosen and missed and missed.order <= chosen.chosen.order + RAISED:
+            settings = replace(settings, order=missed.order)
+            found = campaign.subspace(settings.order, settings.windows)
+            estimate = refine_sampled(campaign, found, settings.refinement)
+            missed = self._missed(campaign, settings, estimate)
+        if chosen and settings != chosen.chosen:
+            chosen = replace(chosen, chosen=settings)
+        return self._black_box(campaign, settings, replace(estimate, missed=missed), chosen)
+
+    def _missed(self, campaign: Campaign, settings: Candidate, found: Estimate) -> Missed | None:
+        """What a model of samples refined by prediction errors misses that two more states show."""
+        if not isinstance(found.uncertainty, SampledUncertainty):
+            return None
+        try:
+            windows = self._windows(replace(settings, order=settings.order + 2), len(campaign.sy))
+            start = campaign.subspace(settings.order + 2, windows)
+            other = refine_sampled(campaign, start, "prediction")
+        except (ValueError, np.linalg.LinAlgError):
+            return None
+        if not isinstance(other.uncertainty, SampledUncertainty):
+            return None
+        scales, band = (campaign.su, campaign.sy), campaign.band(settings.pole)
+        richer = other.system, other.uncertainty
+        return missed_of_samples(
+            found.system, found.uncertainty, richer, campaign.records, *scales, band
+        )
 
     def check_lengths(self, records: Sequence[Record]) -> None:
         """ValueError: windows, or those that the order needs, are longer than every record."""

@@ -24,7 +24,7 @@ from casid.record import Record
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.candidates import Candidate, Refinement
 from casid.subspace.columns import input_bandwidth
-from casid.subspace.feedback import fed_back_noise
+from casid.subspace.feedback import fed_back_noise, prediction_errors
 from casid.subspace.held import discretised
 from casid.subspace.predictor import accumulate
 from casid.subspace.refining import FED_BACK, Estimate, refine_projected, refine_sampled
@@ -236,14 +236,9 @@ def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
 
 def _prediction_errors(fold: _Fold, model: Estimate) -> Array:
     """One-step prediction errors (N, ny) of a stretch, but for a constant of what is before it."""
-    system, K, known = model.system, model.K, fold.known
-    u, y = (v - v[:known].mean(axis=0) for v in (fold.shown.u, fold.shown.y))
-    B, D = (
-        np.hstack([system.B - K @ system.D, K]),
-        np.hstack([system.D, np.zeros((K.shape[1],) * 2)]),
-    )
-    predictor = StateSpace(system.A - K @ system.C, B, system.C, D, system.dt)
-    e = y - _simulated(predictor, np.hstack([u, y]))
+    known, u, y = fold.known, fold.shown.u, fold.shown.y
+    centred = replace(fold.shown, u=u - u[:known].mean(axis=0), y=y - y[:known].mean(axis=0))
+    e = prediction_errors(model.system, model.K, centred)
     return np.asarray(e[known:] - e[known // 2 : known].mean(axis=0))  # once it has begun
 
 

@@ -70,3 +70,18 @@ def test_direct_terms_that_stand_for_a_delay_say_that_the_order_is_too_low(seed)
     (told,) = order_doubts(found, 3)
     assert "with the direct terms that are zero here" in told
     assert "order=5 or more" in told
+
+
+@pytest.mark.second
+@pytest.mark.parametrize(("order", "enough"), [(3, False), (5, True), (7, True)])
+def test_samples_show_that_an_order_is_too_low_for_a_delay_of_whole_samples(order, enough):
+    # A rate, its integral, and three samples of delay: five states, no fewer.
+    roll = StateSpace([[-4.0, 0], [1, 0]], [[12.0], [0]], np.eye(2), np.zeros((2, 1)), delay=[0.06])
+    rng, t, u = np.random.default_rng(1), 0.02 * np.arange(900), np.zeros((900, 1))
+    for start, size in ((100, 0.08), (160, -0.08), (200, 0.08), (220, -0.08), (600, 0.06)):
+        u[start : start + 20 * (1 + (size == 0.08))] = size
+    y = roll.simulate(t, u, hold="zoh") + np.radians([0.3, 0.2]) * rng.standard_normal((900, 2))
+    record = Record(t, u, y, ("lat",), ("p", "phi"), "", "zoh")
+    box = pbsid(record, order=order, past=10, transform="none", feedthrough=False)
+    assert box.measures == enough
+    assert any(f"Order {order} is too low" in doubt for doubt in box.doubts()) != enough
