@@ -24,6 +24,7 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace import modal as modes
 from casid.subspace.alike import alike
+from casid.subspace.fast import bounded, held_interval
 from casid.subspace.fourier import Spectrum
 from casid.subspace.likelihood import Part, noise_weights, parts, without_transients
 from casid.subspace.meeting import parted, pole_errors
@@ -111,6 +112,10 @@ def refine(
     plain = modes.covariance_factor(H, around)
     factor = plain * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
     step = plain @ (plain.T @ gradient)
+    if (h := held_interval(data)) is not None:
+        sizes: Array = np.linalg.norm(factor, axis=1)
+        both = bounded(np.column_stack([factor, step]), sizes, around, h)
+        factor, step = np.asarray(both[:, :-1]), np.asarray(both[:, -1])
     refined = modes.from_modal(modal, su, sy, system)
     return refined, ResponseUncertainty(around, free, factor, su, sy, modal.lam, step)
 
