@@ -53,30 +53,33 @@ def fed_back(
 ) -> tuple[float, float, float]:
     """Share of an input's power that prediction errors make, size of these, share by chance."""
     # The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
-    # no sample is missing.
+    # no sample is missing. An input that does not act in its own sample may be made of its error.
     lags = _lags(max(record.dt for record in records))
     ny, products, targets, errors = len(sy), [], [], []
+    lines = any(record.hold == "foh" for record in records)
+    now = np.asarray(system.D.any(axis=1) | lines)
     most = ENOUGH // len(records) + 1
     for record in (r if most >= r.N else r.cut(r.t[0], r.t[most]) for r in records):
         if 6 * lags * (len(su) + 1) >= record.N:
             continue
         u = (record.u - record.u.mean(axis=0)) / su
-        now = record.hold == "foh" or bool(system.D.any())
         e = _without_model_error(prediction_errors(system, K, record) / sy, u, lags, now=now)
         errors.append(e)
         products.append(lagged_products(np.hstack([e, u[-len(e) :]]), lags))
         targets.append(u[lags - len(e) :])
-    N, size = sum(map(len, targets)), lags * ny
+    made = np.zeros((lags + 1, ny + len(su)), dtype=bool)
+    made[:, :ny], made[0, :ny] = True, ~now
+    N, size = sum(map(len, targets)), int(made.sum())
     if 2 * size >= N:
         return 0.0, 0.0, 1.0
-    # The share of u(k) that e(k-1) ... e(k-lags) explain is compared with some per cent: products
+    # The share of u(k) that errors up to e(k-lags) explain is compared with some per cent: products
     # are precise enough.
-    G = np.sum(products, axis=0).reshape(lags + 1, ny + len(su), lags + 1, -1)
-    inner, outer = G[1:, :ny, 1:, :ny].reshape(size, size), G[1:, :ny, 0, ny:].reshape(size, -1)
+    G, rows = np.sum(products, axis=0), np.flatnonzero(made)
+    inner, outer = G[np.ix_(rows, rows)], G[rows, ny : ny + len(su)]
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))[:, None]
     inner, outer = inner / (scale * scale.T) + 1e-10 * np.eye(size), outer / scale
     explained = np.sum(outer * scipy.linalg.solve(inner, outer, assume_a="pos"), axis=0)
-    power = np.diag(G[0, ny:, 0, ny:])
+    power = np.diag(G)[ny : ny + len(su)]
     left = (power - explained) / (N - size)
     fed = np.max(1 - left / (power / N))
     noise = float(np.mean(np.std(np.vstack(errors), axis=0)))
@@ -162,16 +165,19 @@ def _by_chance(inputs: Sequence[Array], lags: int, ny: int) -> float:
     return float(scipy.special.chdtri(terms, RARE / inputs[0].shape[1]) / terms - 1)
 
 
-def _without_model_error(e: Array, u: Array, lags: int, *, now: bool) -> Array:
+def _without_model_error(e: Array, u: Array, lags: int, now: BoolArray) -> Array:
     """What inputs do not explain of the prediction errors; the first 2 ``lags`` are cut.
 
     White noise is not explained by what came before it, fed back or not; an error of the model is.
-    Inputs of this sample count where they act ``now``: a controller may have made them of it.
+    Inputs of this sample count for outputs on which they act ``now``, (ny,): a controller may have
+    made them of it.
     """
-    window = sliding_window_view(u, 2 * lags + 1, axis=0)[:, :, 0 if now else 1 :: 2]
-    past = window.reshape(len(window), -1)
-    left = e[2 * lags :]
-    return left - past @ np.linalg.lstsq(past, left, rcond=1e-10)[0]
+    left = e[2 * lags :].copy()
+    for first, which in enumerate((now, ~now)):
+        window = sliding_window_view(u, 2 * lags + 1, axis=0)[:, :, first::2]
+        past = window.reshape(len(window), -1)
+        left[:, which] -= past @ np.linalg.lstsq(past, left[:, which], rcond=1e-10)[0]
+    return left
 
 
 def prediction_errors(system: StateSpace, K: Array, record: Record) -> Array:

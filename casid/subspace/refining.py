@@ -128,9 +128,14 @@ def refine_projected(
         windows=windows,
         missing=missed is not None,
     )
-    doubtful = _doubtful(campaign, grows, system, refined, windows, data)
-    share = explained_share(refined, data, su, sy, band)
-    return replace(moved, explained=share, doubtful=doubtful, fault=told)
+    # Prediction errors are causal themselves, and what takes inputs as given is no judge of them.
+    others = None if isinstance(moved.uncertainty, SampledUncertainty) else windows
+    return replace(
+        moved,
+        explained=explained_share(refined, data, su, sy, band),
+        doubtful=_doubtful(campaign, grows, system, refined, others, data),
+        fault=told,
+    )
 
 
 def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) -> Estimate:

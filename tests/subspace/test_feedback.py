@@ -73,7 +73,9 @@ def test_the_share_fed_back_is_what_least_squares_on_all_lags_explain():
     rows, targets = [], []
     for record in records:
         u = (record.u - record.u.mean(axis=0)) / su
-        e = _without_model_error(prediction_errors(plant, K, record) / sy, u, lags, now=True)
+        e = _without_model_error(
+            prediction_errors(plant, K, record) / sy, u, lags, np.array([True])
+        )
         rows += [e[k - lags : k, 0] for k in range(lags, len(e))]
         targets.append(u[-len(e) :][lags:])
     X, U = np.array(rows), np.vstack(targets)
@@ -161,6 +163,7 @@ def test_turbulence_fed_back_hands_over_to_prediction_errors_whose_intervals_hol
         plant, records = gusty_loop(0.02, 30.0, seed)
         box = pbsid(records, **GUSTY)
         assert box.refinement == "prediction"
+        assert not len(box.doubtful)  # the plant grows
         error = np.log(box.system.response(omega) / plant.response(omega))
         size, phase = box.response_std(omega)
         off.append([error.real / size, error.imag / phase])
@@ -186,7 +189,7 @@ def test_a_noisy_loop_with_slow_feedback_raises_no_warning():
 def test_feedback_is_looked_for_from_two_samples_a_coefficient_on():
     rng, none = np.random.default_rng(2), np.zeros((4, 1))
     system = StateSpace([[0.0]], [[0.0]], none, none, 2.0, ("u",), tuple("abcd"))
-    for N in (34, 26):  # with two lags of four outputs 28 rows, or 20, of eight columns
+    for N in (34, 32):  # now and two lags before, of four outputs: 28 rows, or 26, of 12 columns
         u, y = rng.standard_normal((N, 1)), rng.standard_normal((N, 4))
         record = Record(2.0 * np.arange(N), u, y, ("u",), tuple("abcd"), hold="zoh")
         _, size, _ = fed_back(system, np.zeros((1, 4)), [record], np.ones(1), np.ones(4))
@@ -243,6 +246,34 @@ def test_dynamics_that_are_missed_follow_from_inputs_and_are_no_noise():
     coloured, followers = followed(missed, inputs, 0.04, now=True)
     assert not coloured.any()
     assert not followers.any()
+
+
+@pytest.mark.parametrize("delay", [0, 1, 5])
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_the_share_that_white_noise_makes_of_an_input_is_found_at_any_delay(delay, hold):
+    # u(k) = r(k) - e(k - n)/2 and y = e: a fifth of u. In its own sample u may act on y where it is
+    # a straight line from the last one, and what goes with it is no feedback for certain.
+    rng, N = np.random.default_rng(7), 4000
+    e, u = rng.standard_normal((N, 1)), rng.standard_normal((N, 1))
+    u[delay:] -= 0.5 * e[: N - delay]
+    record = Record(0.1 * np.arange(N), u, e, ("u",), ("y",), hold=hold)
+    system = StateSpace([[-1.0]], [[0.0]], [[0.0]], [[0.0]], inputs=("u",), outputs=("y",))
+    share, size, _ = fed_back(system, np.zeros((1, 1)), [record], np.ones(1), np.ones(1))
+    seen = hold == "zoh" or delay > 0
+    assert share == pytest.approx(0.2 if seen else 0.0, abs=0.03)  # two deviations
+    assert size == pytest.approx(1.0, abs=0.03) or not seen
+
+
+@pytest.mark.parametrize("direct", [(), ("b",), ("a", "b")])
+def test_outputs_on_which_an_input_acts_at_once_show_no_feedback_in_their_sample(direct):
+    rng, N = np.random.default_rng(8), 2000
+    e, D = rng.standard_normal((N, 2)), np.array([[float(n in direct)] for n in "ab"])
+    u = rng.standard_normal((N, 1)) - 0.5 * e[:, :1] - 0.5 * e[:, 1:]
+    record = Record(0.1 * np.arange(N), u, e + u @ D.T, ("u",), ("a", "b"), hold="zoh")
+    system = StateSpace([[-1.0]], [[0.0]], np.zeros((2, 1)), D, inputs=("u",), outputs=("a", "b"))
+    share, *_ = fed_back(system, np.zeros((1, 2)), [record], np.ones(1), np.ones(2))
+    shown = 2 - len(direct)  # a quarter each of one and a half
+    assert share == pytest.approx(shown * 0.25 / 1.5, abs=0.04)
 
 
 def test_records_too_short_tell_no_follower():
