@@ -64,8 +64,8 @@ class BlackBox(Shown):
         refined by Fourier transforms.
     doubtful : complex array
         Growing modes that the likelihood does not need, on which the records do not agree or which
-        causal prediction, the start, or a model of one state less does not find. (Those so slow
-        that growth and decay look alike: see `Pbsid`.)
+        causal prediction, the start, or a model of one state less does not find (these two are not
+        asked of prediction errors). Those so slow that growth and decay look alike: see `Pbsid`.
     missed : Missed or None
         Where a model of two more states leaves clearly less of an output.
     refinement : str
