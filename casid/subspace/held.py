@@ -6,10 +6,8 @@ inputs, a black box of projections is refined in this way.
 """
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
-import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace, foh_step, from_zoh
@@ -18,7 +16,6 @@ from casid.subspace.campaign import Campaign
 from casid.subspace.prediction import SampledUncertainty, refine_samples
 
 LINES = 60  # frequencies at which two responses are compared
-REAL = 1e-12  # imaginary part of a discrete pole that counts as none, as in `from_zoh`
 
 
 def discretised(system: StateSpace, h: float, hold: Hold) -> StateSpace:
@@ -44,10 +41,9 @@ def refine_held(
     """`refine_samples` for a continuous model of inputs that are held between the samples.
 
     What is left of a masked direct term in continuous time goes into B; the last model still has
-    it. Modes that change sign at every sample, which noise makes and no continuous model has, are
-    left out and the others refined again. ``K`` comes back as the discrete gain by the step's input
-    integral, approximately the continuous one. ValueError: records of unequal sampling, or no
-    refined pole with a continuous equivalent.
+    it. ``K`` comes back as the discrete gain by the step's input integral, approximately the
+    continuous one. ValueError: records of unequal sampling, or a refined pole without a continuous
+    equivalent.
     """
     records, mask = pieces.records, pieces.mask
     h, hold = records[0].dt, records[0].hold
@@ -56,10 +52,9 @@ def refine_held(
     _, I0, I1 = _held(system.A, h, hold)
     free = mask if hold == "zoh" else np.ones_like(mask)
     start = discretised(system, h, hold)
-    again = partial(refine_samples, records=records, su=pieces.su, sy=pieces.sy, mask=free)
-    found, gain, uncertainty = again(start, (I0 + I1) @ K)
-    while 0 < (few := _between_samples(found, gain))[0].nx < found.nx:
-        found, gain, uncertainty = again(*few)
+    found, gain, uncertainty = refine_samples(
+        start, (I0 + I1) @ K, records, pieces.su, pieces.sy, free
+    )
     direct = undiscretised(found, hold)
     _, I0, I1 = _held(direct.A, h, hold)
     longest = max(record.t[-1] - record.t[0] for record in records)
@@ -90,18 +85,6 @@ def _without_direct(
         B[:, i] += change[: system.nx]
         D[free, i] += change[system.nx :]
     return replace(system, B=B, D=D)
-
-
-def _between_samples(system: StateSpace, K: Array) -> tuple[StateSpace, Array]:
-    """A discrete model and its gain without modes that have no continuous equivalent."""
-    poles = np.linalg.eigvals(system.A)
-    if not ((np.abs(poles.imag) < REAL) & (poles.real <= 0)).any():
-        return system, K
-    S, Z, n = scipy.linalg.schur(system.A, output="real", sort=lambda x, y: abs(y) >= REAL or x > 0)
-    X = scipy.linalg.solve_sylvester(S[:n, :n], -S[n:, n:], -S[:n, n:])
-    span, back = Z[:, :n], np.hstack([np.eye(n), -X]) @ Z.T
-    A, B, C = S[:n, :n], back @ system.B, system.C @ span
-    return replace(system, A=A, B=B, C=C, states=()), back @ K
 
 
 def _held(A: Array, h: float, hold: Hold) -> tuple[Array, Array, Array]:

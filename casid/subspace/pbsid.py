@@ -80,8 +80,7 @@ class Pbsid:
         Move the subspace model to the maximum likelihood, with the direct term zero where it is
         masked: on projections of the records' Fourier transforms (`casid.subspace.refinement`) or,
         where a controller feeds so much noise back into the inputs that these would be biased
-        (`casid.subspace.feedback`), of prediction errors, without states that noise alone makes
-        change sign at every sample, which lowers the order; on samples of prediction errors
+        (`casid.subspace.feedback`), of prediction errors; on samples of prediction errors
         (`casid.subspace.prediction`), or, where the order is chosen, by what predicts best: those,
         B, K and D alone, or simulation errors of constant or of local size, with K = 0 (none of
         these with more than eight outputs, where the subspace estimate stays as it is). Only a
