@@ -26,6 +26,7 @@ from casid.nonlinear.coverage import airspeeds, leaves, tabulated
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 
+APART = 0.01  # chance that one entry or more of true local fits is told to lie off the one model
 NOTHING = 1e-9  # share of an entry's largest dependence on a parameter that is rounding
 
 
@@ -57,6 +58,9 @@ class Envelope(Shown):
     doubts : tuple of str
         Conditions, of local fits too, that do not balance, do with what they name far away, leave
         some of it open, or have several balances none of which is clearly nearest.
+    apart : tuple of str
+        Entries of local fits that lie off the one model at their conditions by more than the errors
+        of both allow, at one per cent for all together; the farthest first.
     """
 
     speed: Array
@@ -69,10 +73,13 @@ class Envelope(Shown):
     balanced: tuple[str, ...] = ()
     moved: Mapping[str, float] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
+    apart: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """Conditions and entries."""
         beside = "" if self.local is None else f", {len(self.local.speed)} local fits beside them"
+        if self.apart:
+            beside += f" ({len(self.apart)} of their entries off it)"
         outside = f", {self.beyond.sum()} outside what was flown" if self.beyond.any() else ""
         return (
             f"{listed(self.names, 10)} at {counted(len(self.speed), 'condition')} from "
@@ -128,6 +135,9 @@ def envelope(
             )
     own = None if not local else _gathered(list(local.items()), entries)
     made = _gathered([(trim, fit) for trim in trims], entries, own)
+    if local and own is not None and all(airspeeds(fit.model, trim.values) for trim in local):
+        whole = _gathered([(trim, fit) for trim in local], entries)
+        made = replace(made, apart=_apart(whole, own))
     if made.beyond.any():
         flown = ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, (a, b) in _covered(fit).items())
         warn(
@@ -185,6 +195,23 @@ def _gathered(
         balanced=tuple(dict.fromkeys(name for each in rest for name in each.found)),
         moved=dict(moved),
         doubts=(*filter(None, (each.doubt for each in rest)), *(local.doubts if local else ())),
+    )
+
+
+def _apart(whole: Envelope, local: Envelope) -> tuple[str, ...]:
+    """What lies off, of local fits and of the one model at the same conditions.
+
+    Records of the local fits are some of the one model's, so differences vary by less than the sum.
+    """
+    off = (local.values - whole.values) / np.hypot(local.std_error, whole.std_error)
+    known = np.isfinite(off)
+    most = -scipy.special.ndtri(APART / (2 * max(int(known.sum()), 1)))
+    far = sorted(zip(*np.nonzero(known & (np.abs(off) > most)), strict=True))
+    return tuple(
+        f"{local.names[j]} at {local.speed[i]:.3g} m/s {local.values[i, j]:.3g} ± "
+        f"{local.std_error[i, j]:.2g} by itself, {whole.values[i, j]:.3g} ± "
+        f"{whole.std_error[i, j]:.2g} of the one model"
+        for i, j in sorted(far, key=lambda place: -abs(off[place]))
     )
 
 

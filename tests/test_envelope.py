@@ -22,6 +22,7 @@ from casid import (
     parameter,
     simulate,
 )
+from casid.envelope import _apart
 from casid.report.content import LEADING
 from casid.stages.conditions import _show
 
@@ -231,6 +232,34 @@ def test_local_fits_stand_at_their_speeds(fit):
     assert found.values[0].tolist() == [own.model.Mq, own.model.M]
     np.testing.assert_allclose(found.std_error[0], [row.std_error for row in own.parameters])
     assert "1 local fits" in repr(envelope(fit, at(20.0), PAIRS, local={at(20.0)[0]: own}))
+
+
+def test_what_lies_off_the_one_model_is_told_and_the_report_leads_with_it(fit):
+    record = flown(20.0).detrend({"u": 20.0, "q": 0.0, "lon": 0.0, "push": 0.0})
+    own = output_error(Local(), record)
+    there = envelope(fit, at(20.0, 40.0), PAIRS, local={at(20.0)[0]: own})
+    assert there.apart == ()
+    off = replace(own, model=replace(own.model, Mq=own.model.Mq - 8 * own["Mq"].std_error))
+    found = envelope(fit, at(20.0, 40.0), PAIRS, local={at(20.0)[0]: off})
+    (said,) = found.apart
+    assert said.startswith(f"q' by q at 20 m/s {off.model.Mq:.3g} ± ")
+    assert said.endswith("of the one model")
+    assert "1 local fits beside them (1 of their entries off it)" in found.headline()
+    ((caution,),) = (section.cautions for section in _show(found, SimpleNamespace(model=fit.model)))
+    assert caution.rank <= LEADING
+    assert said in caution.text
+
+
+def test_chance_calls_one_campaign_in_a_hundred_off(fit):
+    rng = np.random.default_rng(17)
+    made = envelope(fit, at(*np.linspace(20.0, 40.0, 9)), PAIRS)
+    whole = replace(made, std_error=1e-9 * made.std_error)  # known, beside one fit alone
+    drawn = [
+        replace(made, values=made.values + made.std_error * rng.standard_normal((9, 2)))
+        for _ in range(3000)
+    ]
+    share = np.mean([bool(_apart(whole, each)) for each in drawn])
+    assert share == pytest.approx(0.01, abs=4 * np.sqrt(0.01 / 3000))
 
 
 def test_poles_are_followed_where_they_cross(fit):

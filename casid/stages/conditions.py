@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casid import report
+from casid.display import listed
 from casid.envelope import Envelope, envelope, flight_condition
 from casid.errors import ConvergenceError, ModelError, warn
 from casid.model import Model
@@ -23,6 +24,12 @@ from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import Stage, Task
 
 TOGETHER = 0.05  # of the largest speed: records whose speeds differ less share a condition
+TOLD = 3  # entries off, in a caution
+OFF = (
+    "Fits of the records of one speed lie off the one model by more than the errors of both allow: "
+    "{}. A trim, unit or gain of the records there, or what the structure has over speed, is at "
+    "fault; standard errors know of neither."
+)
 POINTS = 12  # speeds at which curves are drawn
 
 
@@ -148,7 +155,10 @@ def _show(found: Envelope, content: Content) -> Iterable[Section]:
     low, high = found.speed[0], found.speed[-1]
     lead = f"It is shown from {low:.3g} to {high:.3g} m/s, the speeds of its records."
     draw = partial(report.envelopes.draw_envelope, found)
-    said = (Caution(unbalanced(content.model, found.doubts), 6),) if found.doubts else ()
+    said = [Caution(unbalanced(content.model, found.doubts), 6)] if found.doubts else []
+    if found.apart:
+        more = f", and {len(found.apart) - TOLD} more" if len(found.apart) > TOLD else ""
+        said.insert(0, Caution(OFF.format(listed(found.apart[:TOLD]) + more), 3))
     yield section("envelope", "Over speed", 35, found, draw=draw, lead=lead, cautions=said)
 
 
