@@ -133,6 +133,28 @@ def test_a_rough_model_is_as_likely_as_a_settled_one_but_for_what_noise_makes_of
     assert 0 < rough - cost() < parameters / 2
 
 
+def test_what_a_search_leaves_over_is_the_step_to_the_maximum(monkeypatch):
+    records, plant = campaign(noise=0.05), unstable_plant()
+    su, sy = standard_deviations(records)
+    lines, mask = spectra(records, su, sy, 12.0), plant.D != 0
+    start = StateSpace(1.01 * plant.A, plant.B, plant.C, plant.D)
+
+    def refined():
+        found = refine(start, lines, su, sy, mask)[1]
+        first, second = found.modal.place(1)
+        along = found.unsettled[first[:, 0]] + 1j * np.where(
+            second[:, 0] >= 0, found.unsettled[second[:, 0]], 0.0
+        )
+        return found.modal.lam, along
+
+    settled, nothing = refined()
+    monkeypatch.setattr("casid.subspace.refinement.STEPS", 0)
+    near, along = refined()
+    assert np.abs(nothing).max() < 0.3 * np.abs(along).max()
+    # The noise is weighed by the model at hand, so that a third of the way is left.
+    assert np.abs(near + along - settled).max() < 0.4 * np.abs(near - settled).max()
+
+
 def test_the_correction_of_the_criterion_is_akaikes_and_more_terms_than_data_are_worth_nothing():
     flown = campaign(records=2, duration=12.0)
     su, sy = standard_deviations(flown)
