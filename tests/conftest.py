@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,19 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
 threadpool_limits(1)  # for what tests compute themselves; casid sets its own
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Leave to the campaigns what repeats with other parameters what the first ones show."""
+    before = Counter()
+    for item in items:
+        mark = item.get_closest_marker("repeats")
+        if mark and not item.get_closest_marker("campaign"):
+            test = item.nodeid.partition("[")[0]
+            before[test] += 1
+            if before[test] > mark.args[0]:
+                item.add_marker("campaign")
 
 
 @pytest.fixture(scope="session")

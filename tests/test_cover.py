@@ -45,7 +45,7 @@ def violated(rng, kind):
     return ratio.min(), np.exp(np.mean(np.log(ratio)))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "kind", [pytest.param("additive", marks=pytest.mark.campaign), "multiplicative"]
 )
@@ -79,6 +79,7 @@ def phugoids(damping, seed):
     return plane(0.45, damping, 1), [plane(0.45 * a, damping * b, c) for a, b, c in drawn.T]
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(
     ("damping", "order"),

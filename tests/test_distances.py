@@ -267,6 +267,7 @@ def matrices(model):
     return model.A(), model.B(), model.C(), model.D()
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.parametrize("first", [0, 10])
 @pytest.mark.slow
 def test_whole_samples_of_delay_are_no_fault_where_a_direct_term_feels_a_staircase(first):

@@ -47,6 +47,7 @@ LONG = (
     "bounds",
     "exchange",
     "autopilot",
+    "turbulence",
 )  # pages whose examples take long and stand in other tests too
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)

@@ -161,6 +161,7 @@ def largest_file(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0, 30_000, 300_000])
 def test_a_full_disk_leaves_earlier_results_and_the_same_command_goes_on(size, copy):

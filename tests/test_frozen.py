@@ -238,6 +238,7 @@ def looped(seed, lost=0.0):
     return record.mask(np.random.default_rng(seed).random(record.y.shape) < lost)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("lost", [0.0, 0.01])
 @pytest.mark.parametrize("rows", [10, 20, 50])

@@ -71,6 +71,7 @@ def on_trim(model, V):
     return dict.fromkeys((*model.states, *model.inputs), 0.0) | trim
 
 
+@pytest.mark.repeats(2)
 @pytest.mark.second
 @pytest.mark.parametrize("structure", [ScheduledSixDof, ScheduledHybrid], ids=named)
 @pytest.mark.parametrize("V", [20.0, 27.0, 31.0, 40.0])
@@ -386,6 +387,7 @@ def assert_recovered(fit, truth):
     np.testing.assert_array_less(std, 0.01 * free_parameters(truth).scale)
 
 
+@pytest.mark.repeats(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("structure", GALLERY, ids=named)
 def test_a_structure_is_recovered_from_its_own_records(structure):

@@ -37,6 +37,7 @@ def test_code_that_takes_too_long_is_interrupted_and_the_outer_limit_goes_on():
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("where", ["the top", "a method", "both"])
 def test_a_model_that_ends_the_process_is_told(where, tmp_path):

@@ -66,6 +66,7 @@ def in_rows(record, rng):
     return record.take((rng.random(record.N) > 0.1) & (np.abs(record.t - 8) > 1.5))
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.parametrize("spoil", [at_random, at_rates, in_rows])
 @pytest.mark.parametrize("name", [FLOWN[1], pytest.param(FLOWN[0], marks=pytest.mark.slow),
                                   pytest.param(FLOWN[2], marks=pytest.mark.slow),
@@ -222,6 +223,7 @@ def test_quick_honest_motion_is_not_taken_for_a_jump(noise):
     assert not outliers(Record(0.02 * k, u, y, ("lat",), ("p", "phi"), "pulses")).any()
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(("share", "lost"), [(0.03, 0.0), (0.05, 0.3), (0.1, 0.0)])
 def test_outliers_are_found_however_many_there_are(share, lost):

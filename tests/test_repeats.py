@@ -77,6 +77,7 @@ def told(work):
     return [said for each in caught if "repeat samples" in (said := str(each.message))]
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(
     "estimate",

@@ -29,6 +29,7 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several
+from casid.shooting.contradiction import OPPOSED
 from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
 from casid.textfile import write_text
@@ -180,7 +181,7 @@ def compare_bounds(
     read = fits.cases(cases)
     jobs = _jobs(read, fits, start)
     done = _from_each_other(read, fits, fits.run(jobs))
-    tell(returned({case.name: done[case.name] for case in read}))
+    tell(_of_records(returned({case.name: done[case.name] for case in read})))
     good = {case.name: done[case.name].result for case in read if not done[case.name].reason}
     freest, judged = jobs[0].name, None
     if good and (unseen := several(validation)):
@@ -201,6 +202,17 @@ def compare_bounds(
         validation=judged,
         linearised_at=where,
     )
+
+
+def _of_records(said: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    """Warnings of cases, without contradictions of records that are a bound's doing: not of all."""
+    if all(any(text.startswith(OPPOSED) for text in texts) for texts in said.values()):
+        return said
+    return {name: _without(OPPOSED, texts) for name, texts in said.items()}
+
+
+def _without(start: str, texts: Sequence[str]) -> tuple[str, ...]:
+    return tuple(text for text in texts if not text.startswith(start))
 
 
 def _from_guess(case: CaseResult, guess: Model) -> CaseResult:

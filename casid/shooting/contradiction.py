@@ -37,10 +37,12 @@ def warn_of_contradiction(programme: Programme, x: Array, std: Array) -> None:
     """Tell of records that contradict the others, at scaled variables x.
 
     ``std`` (nf,) are the standard errors of the free parameters. Filters say nothing: their gains
-    follow the records, too.
+    follow the records, too. Nor is a record to blame where responses pull at all of them, or, of
+    two, what is known before: `casid.shooting.agreement` asks those.
     """
     layout, free = programme.evaluator.layout, programme.free
-    if len(layout.records) < 2 or programme.evaluator.filtering:
+    fewest = 3 if free.priors else 2
+    if len(layout.records) < fewest or programme.evaluator.filtering or free.evidence is not None:
         return
     F, follow = information(programme, x)
     alone = np.diag(programme.blocks(x).Hll)

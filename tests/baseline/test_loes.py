@@ -193,6 +193,7 @@ def test_stated_errors_are_those_of_the_definition_where_little_is_determined_to
         assert (fit.std_error[:3] > 1e6 * np.abs([*fit.numerator, *fit.denominator[1:]])).all()
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("order", [(1, 1), (0, 2), (1, 2), (1, 3), (2, 3)])
 def test_an_order_above_the_system_s_fits_as_well_as_its_own(order):

@@ -23,7 +23,9 @@ from casid import (
     parameter,
     simulate,
 )
+from casid.bounds.compare import _of_records
 from casid.bounds.robust import weights
+from casid.shooting.contradiction import OPPOSED
 
 OMEGA = np.geomspace(0.2, 8.0, 25)
 
@@ -358,6 +360,14 @@ def test_what_all_cases_hold_is_said_to_have_no_price(recwarn):
     with pytest.warns(DataWarning, match="increases of 'other', which does not lie within it, may"):
         found = of(bound={"a": "< -3"}, other={"a": "< -2", "b": "< 8.9"})
     assert found["other"].increase < 0
+
+
+def test_what_records_do_to_each_other_under_one_bound_is_told_of_no_case():
+    told = f"{OPPOSED}: r0 and all others"
+    said = {"free": ("few data",), "tie": (told, "few data")}
+    assert _of_records(said) == {"free": ("few data",), "tie": ("few data",)}
+    every = {"free": (told,), "tie": (told, "few data")}
+    assert _of_records(every) == every
 
 
 @pytest.mark.second

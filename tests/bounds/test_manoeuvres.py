@@ -181,7 +181,7 @@ class Integral(Bank):
     Lphi: Scalar = parameter(default=0.0, lower=0.0, upper=0.0, unit="1/s^2")
 
 
-@pytest.mark.second
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "biased",
     [("p", "phi"), *(pytest.param(each, marks=pytest.mark.campaign) for each in (("phi",), ()))],

@@ -42,7 +42,7 @@ def test_a_parameter_on_its_bound_in_all_draws_has_no_claim_and_no_warning():
         found.interval(95)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_bootstrap_of_white_residuals_scatters_as_the_standard_errors():
     fit = output_error(Mixture(), [record()])
     found = bootstrap(fit, [record()], runs=RUNS, block=0.2, execution=HERE)
@@ -138,7 +138,7 @@ def test_scatter_is_the_unbiased_standard_deviation_and_coverage_counts_interval
     assert found.coverage == pytest.approx(2 / 3)  # 1 ± 1.18 and 2 ± 0.2, not 4.5 ± 1.96
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_what_a_prior_tells_scatters_too():
     # A prior that tells nearly all there is of a: its own deviation is what a is known to.
     std = 0.1 * expected()[0]

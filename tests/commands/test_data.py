@@ -296,7 +296,7 @@ def test_columns_units_and_time_of_a_log_are_told_to_inspect_and_check(tmp_path)
 
 @pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
-    fit = SimpleNamespace(model=AIRCRAFT, method="output error", notes=None)
+    fit = SimpleNamespace(model=AIRCRAFT, method="output error", notes=None, units={})
     monkeypatch.setattr("casid.commands.conversion.load_fit", lambda *_: fit)
     monkeypatch.chdir(tmp_path)
     Path("fit.json").write_text('{"casid": "fit"}', encoding="utf-8")

@@ -268,6 +268,7 @@ def test_shares_from_outside_are_those_of_records_in_line():
     assert shares[1] == pytest.approx(shares[0], abs=0.1)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("samples", [3, 5, 8])
 def test_a_scrap_of_a_record_beside_late_ones_is_no_reason_to_fail(samples):

@@ -37,6 +37,7 @@ def test_nothing_is_cut_where_the_output_is_no_terminal():
     assert "…" not in said
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(("outputs", "code"), [("p,phi", 0), ("p,psi", 2)])
 def test_a_reader_that_leaves_changes_no_exit_code(outputs, code):

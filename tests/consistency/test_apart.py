@@ -152,7 +152,7 @@ def in_steps(hold, late=0, dt=0.04, seed=5):
     return Record(t, stick[:, None], np.column_stack(y), ("col",), names, hold=hold)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_force_that_follows_held_inputs_at_once_is_half_a_sample_early_and_not_skewed():
     check = kinematic_check(in_steps("zoh"))
     (az,) = (each for each in check.channels if each.channel == "az")

@@ -29,6 +29,7 @@ def drifting(seed, drift, outputs=WHOLE, begin=0.0, noise=1.0):
     return replace(record, y=y)
 
 
+@pytest.mark.repeats(2)
 @pytest.mark.second
 @pytest.mark.parametrize(
     ("who", "outputs"),
@@ -114,6 +115,7 @@ def seen_without(record, lost, name=None):
     return record.mask(gone[:, None] & (np.array(record.outputs) == name))
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.parametrize("lost", [(15.0, 19.0), (24.0, 27.0)])
 @pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.campaign)])
 @pytest.mark.slow
@@ -127,6 +129,7 @@ def test_a_drift_is_told_across_a_gap_as_well_as_without(seed, lost):
     assert wider < 1.3 * error  # a tenth of the record is lost
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.parametrize(("lost", "name"), [((-1.0, 7.0), "p"), ((15.0, 19.0), "p"),
                                             ((36.0, 99.0), "phi")])  # fmt: skip
 @pytest.mark.parametrize(

@@ -262,6 +262,7 @@ def test_noise_of_good_instruments_gives_no_alarm(noisy):
     assert check.notes[0].startswith("specific forces were checked against gravity in trim only")
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.0, 0.1, 0.3], ids=["exact", "good", "rough"])
 def test_noise_in_rates_and_forces_is_no_error_of_theirs(speed):
@@ -422,6 +423,7 @@ def calm(seed, every, slower):
     return Record(t, np.zeros((len(t), 1)), np.where(rare, np.nan, y), ["el"], names, "calm")
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("every", [2, 4])
 @pytest.mark.parametrize("slower", [("phi", "theta"), RATES], ids="-".join)
@@ -514,6 +516,7 @@ def test_accelerometers_away_from_the_centre_of_gravity_are_remarked():
     assert max(check.place_error) < 0.2
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("channel", ["p", "q"])
 def test_a_run_of_outliers_is_told_and_leaves_the_check_as_it_is(channel):
@@ -547,6 +550,7 @@ def test_skew_is_found_to_five_milliseconds_among_outliers_and_losses():
     assert not any("late" in remark or "early" in remark for remark in mended.remarks)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("bank", [0.3, 0.5])
 def test_no_gyro_is_blamed_for_a_pitch_rate_that_was_not_recorded(bank):

@@ -63,6 +63,7 @@ def test_clocks_of_every_record_are_looked_at_and_those_that_differ_named(clocks
         np.testing.assert_allclose(found, clocks, atol=0.03)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("late", [0.0, 0.4])
 def test_a_steady_oscillation_or_a_skew_within_reach_is_no_clock(late):
@@ -137,6 +138,7 @@ def exchanged(record, one, other):
     return replace(record, y=y)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(
     ("names", "turned"),

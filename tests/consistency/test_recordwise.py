@@ -53,6 +53,7 @@ def test_clocks_that_differ_are_told_record_by_record_and_no_scale_is(clocks):
     )
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.parametrize("clocks", [(0.0, 0.0, 0.0), (0.1, 0.1, 0.1)], ids=str)
 @pytest.mark.slow
 def test_one_clock_of_all_records_is_none_of_each(clocks):

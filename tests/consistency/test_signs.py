@@ -124,7 +124,7 @@ def test_velocities_of_another_unit_are_told_and_nothing_else(unit, size, regime
     assert said.startswith(f"u v w: in {unit}, not m/s?")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_accelerometers_of_another_unit_leave_velocities_theirs():
     records = flown(111, count=2)
     for name in FORCES:

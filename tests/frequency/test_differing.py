@@ -28,6 +28,7 @@ def three(seed=0, noise=0.003):
     return [sweep(3 * seed + k, f"sweep {k}", size, noise) for k, size in enumerate(sizes)]
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("noise", [0.003, 0.06])
 def test_sound_records_of_several_sizes_agree(noise):

@@ -49,7 +49,7 @@ def test_bias_is_that_of_the_windows_bandwidth():
 @pytest.mark.parametrize(
     ("method", "runs"), [("local", 40), pytest.param("windows", 80, marks=pytest.mark.campaign)]
 )
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_random_error_is_the_scatter_over_realisations(method, runs):
     rng = np.random.default_rng(4)
     omega = np.geomspace(2.0, 12.0, 8)
@@ -263,7 +263,7 @@ def test_losses_cost_next_to_nothing_and_the_stated_error_covers_what_they_do(sw
     assert 0.90 < np.mean(inside) < 0.985  # windows share samples: errors are stated a little large
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_channels_at_rates_of_their_own_cost_what_their_noise_shows(swept):
     truth, (records, whole) = uh60.oracle().response(OMEGA), swept[0]
     step = np.array([{"a": 2, "p": 1, "q": 1, "r": 1}.get(name[0], 4) for name in uh60.OUTPUTS])

@@ -206,6 +206,7 @@ def test_what_began_before_the_record_is_told_from_the_response(system):
     assert np.mean(away[0] < 1.96 * np.sqrt(2) * local.error[:, 0, 0]) > 0.9
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::casid.DataWarning")
 @pytest.mark.parametrize("sweeps", [True, False], ids=["3-2-1-1 and sweeps", "3-2-1-1"])

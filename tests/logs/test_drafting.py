@@ -273,7 +273,7 @@ def recorded(path, record):
     ids=["good", "theta", "velocities", "attitudes"],
 )
 @pytest.mark.parametrize("detrend", [pytest.param("first", marks=pytest.mark.campaign), "mean"])
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_drafted_study_judges_as_the_records_of_the_log_are_judged(
     tmp_path, late, upside_down, begin, detrend
 ):

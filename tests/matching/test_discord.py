@@ -55,6 +55,7 @@ def flown(responses, thetas=THETAS):
     return {trim(theta, name): one for theta, name, one in named}
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("estimate", ESTIMATORS, ids=NAMES)
 @pytest.mark.filterwarnings("error::casid.DataWarning")

@@ -126,6 +126,7 @@ def test_two_sources_share_a_gain_as_their_weights_say():
         assert rows[1].share == pytest.approx(shares[1] / sum(shares), rel=1e-6)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_a_state_space_is_a_target_as_it_is(norm):

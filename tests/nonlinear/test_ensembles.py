@@ -46,7 +46,7 @@ def test_the_start_of_a_simulation_is_the_state_that_fits_with_biases_free():
     assert fitting_start(TRUTH, replace(record, y=0 * record.y + 5.0)) == {"q": 0.0, "theta": 0.0}
 
 
-@pytest.mark.second
+@pytest.mark.campaign
 @pytest.mark.parametrize("detrended", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_a_bootstrap_puts_residuals_back_on_the_nonlinear_simulation(detrended):
     record = swung(3, size=0.9)

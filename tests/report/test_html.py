@@ -140,7 +140,7 @@ def _dom(path, *options):
 
 
 @browser
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_without_scripts_the_static_pictures_show(page, tmp_path):
     text = re.sub(r"<script.*?</script>", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     measure = """<script>window.addEventListener("load", () => {

@@ -34,6 +34,7 @@ def test_a_simulation_is_that_of_scipy_from_break_to_break(cls, hold, samples):
         assert (np.abs(y - record.y).max(axis=0) < 1e-6 * np.abs(record.y).max(axis=0)).all()
 
 
+@pytest.mark.repeats(4)
 @pytest.mark.second
 @pytest.mark.parametrize("samples", [0.3, 2.25, 6.6])
 @pytest.mark.parametrize(("cls", "hold", "near"), [

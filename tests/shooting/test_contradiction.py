@@ -111,3 +111,10 @@ def test_residuals_that_are_not_white_are_not_taken_for_such():
         white += Records([Source(-g, F, F) for g, F in found], root).agree()
         assert contradiction(P, left, along) is None
     assert white < 15
+
+
+@pytest.mark.second
+def test_what_is_known_before_and_wrong_sets_no_two_flights_against_each_other():
+    with pytest.warns(DataWarning, match="Lp"):  # it is told of the prior
+        output_error(Roll(), flown(2, seed=3), priors={"Lp": (-9.0, 0.01)})
+    assert told(flown(2, seed=3), priors={"Lp": (-9.0, 0.01)})[1] == []

@@ -39,6 +39,7 @@ def flights(structure, hold, delay, seed):
     return [flight(structure(tau=delay * H), hold, delay, rng) for _ in range(2)]
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(
     ("structure", "hold", "delay", "off"),
@@ -61,6 +62,7 @@ def test_a_free_delay_of_whole_samples_is_right_to_a_tenth_of_one(structure, hol
     assert abs(fit.model.tau / H - delay) < 0.1
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("structure", [Felt, Slight])
 @pytest.mark.parametrize("late", [pytest.param(0.0, marks=pytest.mark.campaign), 1.0])
@@ -225,6 +227,7 @@ def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
     assert fit.cost == pytest.approx(held.cost, abs=0.01)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(
     ("structure", "tau", "start", "domain"),
@@ -331,6 +334,7 @@ class Bent(Pair):
         return {"lat": self.tau, "ped": 10 * self.tau**2}
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 @pytest.mark.parametrize("structure", [Shared, Bent])

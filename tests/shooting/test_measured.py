@@ -194,6 +194,7 @@ def test_what_a_structure_misses_of_a_response_counts_less():
     np.testing.assert_array_equal(again.notes.response_weights[0], fewer)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 def test_a_response_in_another_unit_or_of_another_sign_is_told(domain):
@@ -222,6 +223,7 @@ def test_a_response_that_contradicts_the_records_is_told_with_what_it_is_about(d
             output_error(TRUTH, RECORDS, responses=both, domain=domain)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.filterwarnings("ignore:.*rests on few lines")
 @pytest.mark.parametrize("domain", ["time", "frequency"])

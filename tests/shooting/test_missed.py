@@ -51,6 +51,7 @@ def test_a_missing_lag_is_told():
         output_error(TRUTH, records, domain="frequency")
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("colour", [0.0, 0.5])
 def test_noise_under_the_true_structure_is_not(colour):

@@ -131,6 +131,7 @@ class Beyond(Roll):
         return [Constraint("steep", self.Llat, 1e3, np.inf)]
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(
     "settings", [{}, {"domain": "frequency"}, {"process_noise": True}], ids=str
@@ -314,6 +315,7 @@ def test_a_solution_is_one_if_it_has_settled_and_nothing_speaks_against_it(
     assert verdict(found, settled, "give R", more) == (said == "solved", said)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain")  # of few lines
 @pytest.mark.parametrize("domain", ["time", "frequency"])

@@ -63,6 +63,7 @@ def flown(seed, hold, late, steps=True):
     return Record(t, u[:, None], y, ("lat",), ("p", "ay"), f"{seed}", hold)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(("hold", "late"), [("foh", 0.107), ("zoh", 0.0533)])
 def test_it_is_the_difference_of_a_pade_approximation_and_a_late_staircase(hold, late):

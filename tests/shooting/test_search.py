@@ -178,7 +178,7 @@ def held_upright(N, rng, dt=0.05):
     return Record(dt * np.arange(N), u[:, None], y, ("lon",), ("q", "w"), f"{N} samples")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "seed",
     [pytest.param(8, marks=pytest.mark.campaign), pytest.param(18, marks=pytest.mark.campaign), 19],

@@ -74,6 +74,7 @@ def test_sides_end_at_kinks_of_every_input_that_a_parameter_delays():
     np.testing.assert_allclose(found, expected, atol=1.1 * EDGE * 0.01)
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [0.05, 1.0])
 def test_a_delay_of_whole_samples_is_found_in_spite_of_its_kink(times):

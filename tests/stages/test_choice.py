@@ -156,7 +156,7 @@ def test_a_match_is_to_a_black_box_of_what_is_there():
     assert found["Lp"].value == pytest.approx(TRUTH.Lp, rel=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_match_leaves_frequencies_to_which_fewer_manoeuvres_do_not_reach():
     settings = Pbsid(order=3, past=20, future=10)
     low, high = settings.fit(RECORDS[:2]).band

@@ -51,6 +51,7 @@ ESTIMATORS = {
 }
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.filterwarnings("ignore:derivid. measured responses are farther off:casid.DataWarning")
 @pytest.mark.parametrize("name", ESTIMATORS)

@@ -53,7 +53,7 @@ def test_what_ends_a_later_run_leaves_the_files_of_one_run(tmp_path, monkeypatch
     assert "are not of this run but of the last one that ended" in note
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_study_loads_no_library_of_filters_and_distributions(tmp_path):
     # Either takes longer to import than most stages to run, in every process anew.
     code = "import sys, casid; casid.run_study(casid.read_study(sys.argv[1])); print(*sys.modules)"

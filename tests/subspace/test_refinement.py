@@ -49,6 +49,7 @@ def multisine(seed, duration):
     return truth, Record(t, u, y, ("u",), ("a", "b"))
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("duration", [20.0, 40.0])
 def test_stated_errors_are_those_of_many_records_of_few_lines(duration):

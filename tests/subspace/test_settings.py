@@ -128,6 +128,7 @@ def without_outputs(record):
     return replace(record, y=np.full_like(record.y, np.nan), name="lost")
 
 
+@pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize(
     "useless",
