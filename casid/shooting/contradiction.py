@@ -24,7 +24,7 @@ from casid.shooting.programme import Programme
 from casid.shooting.scores import ProcessScores, summed
 from casid.shooting.whiteness import whitened
 
-FAR = 2.0  # standard errors that an estimate moves without the record, from which that is told
+FAR = 2.0  # errors by noise alone that an estimate moves without the record: that is told
 MORE = 2.0  # times the variance of scores that residuals show which are not white
 GONE = 1e-10  # of the largest variance, or information, in units of their sizes: none
 
@@ -33,12 +33,12 @@ OPPOSED = "output error: records contradict each other"  # how what is told of i
 Slopes = Callable[[Array], Iterable[Iterable[Array]]]
 
 
-def warn_of_contradiction(programme: Programme, x: Array, std: Array) -> None:
+def warn_of_contradiction(programme: Programme, x: Array) -> None:
     """Tell of records that contradict the others, at scaled variables x.
 
-    ``std`` (nf,) are the standard errors of the free parameters. Filters say nothing: their gains
-    follow the records, too. Nor is a record to blame where responses pull at all of them, or, of
-    two, what is known before: `casid.shooting.agreement` asks those.
+    Filters say nothing: their gains follow the records, too. Nor is a record to blame where
+    responses pull at all of them, or, of two, what is known before: `casid.shooting.agreement` asks
+    those.
     """
     layout, free = programme.evaluator.layout, programme.free
     fewest = 3 if free.priors else 2
@@ -50,8 +50,9 @@ def warn_of_contradiction(programme: Programme, x: Array, std: Array) -> None:
     found = contradiction(P, whitened(programme, x), slopes(programme, x, follow))
     if found is None:
         return
-    off, unit = found.off, np.where((std > 0) & np.isfinite(std), std, np.inf)
-    moves = np.where(np.abs(off.apart) > APART, off.step * programme.scales.lam / unit, 0.0)
+    # Of scattered records standard errors may be so large that they hide the one at fault.
+    off, unit = found.off, np.where(found.noise > 0, found.noise, np.inf)
+    moves = np.where(np.abs(off.apart) > APART, off.step / unit, 0.0)
     if np.abs(moves).max() > FAR:
         names = [record.name or f"record {k}" for k, record in enumerate(layout.records, 1)]
         warn(_told(found, names, free.names, moves))
@@ -173,8 +174,8 @@ def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array)
     return (
         f"{OPPOSED}: {who} (chi-square of {off.square:.0f} in {off.freedom} combinations of "
         f"parameters, where chance hardly exceeds {chdtri(off.freedom, SELDOM / len(names)):.0f}"
-        f"). Estimates {without} are elsewhere, in standard errors {moved}; "
-        "those stated believe all records. Check there the offset, unit, sign and gain of every "
-        "channel, and the trim; biases or state_biases free what is constant; leave it out and "
-        "compare"
+        f"). Estimates {without} are elsewhere, in errors that noise alone would make {moved}; "
+        "standard errors do not know which is right. Check there the offset, unit, sign and gain "
+        "of every channel, and the trim; biases or state_biases free what is constant; leave it "
+        "out and compare"
     )

@@ -27,6 +27,7 @@ class Discord(NamedTuple):
     which: tuple[int, ...]  # the likeliest first
     any: bool  # without any one of them the others agree, else without all of them
     off: Disagreement  # of the likeliest, or of all of them, from the others
+    noise: Array  # (nf,) errors of the parameters by noise as it is in every record, of all
 
 
 class Records(NamedTuple):
@@ -46,6 +47,11 @@ class Records(NamedTuple):
         g, F, S = (self._sum(part, which) for part in range(3))
         g = g + F @ P @ self._sum(0, gone)
         return disagreement(Source(g, F, S), P, P @ V @ P, self.root)
+
+    def told(self, which: tuple[int, ...], any_: bool, off: Disagreement) -> Discord:
+        """What is told of some, with the errors that noise makes."""
+        scatter = self.root @ self._sum(2, self._all()) @ self.root.T
+        return Discord(which, any_, off, np.sqrt(np.maximum(np.diag(scatter), 0.0)))
 
     def agree(self) -> bool:
         """Whether nothing is beyond chance."""
@@ -74,18 +80,18 @@ def discord(records: Records, *, white: bool) -> Discord | None:
     if worst is None:
         return None
     if len(every) == 2:
-        return Discord((worst, 1 - worst), True, first[worst]) if white else None
+        return records.told((worst, 1 - worst), True, first[worst]) if white else None
     most = _excess(first[worst])
     rivals = [i for i in every if _excess(first[i]) >= RIVALS * most]
     blamed = [i for i in rivals if _agree(records, [k for k in every if k != i], most)]
     if blamed:
         blamed.sort(key=lambda i: -_excess(first[i]))
-        return Discord((*blamed,), len(blamed) > 1, first[blamed[0]])
+        return records.told((*blamed,), len(blamed) > 1, first[blamed[0]])
     out = [worst]
     while 2 * len(out) < len(every):
         kept = [i for i in every if i not in out]
         if _agree(records, kept, most):
-            return Discord((*out,), False, records.against(out, every))
+            return records.told((*out,), False, records.against(out, every))
         found = {i: records.against([i], kept) for i in kept}
         out.append(max(kept, key=lambda i: _excess(found[i])))
     return None

@@ -168,8 +168,7 @@ class OutputError:
             told = warn_of_innovations if filtering else warn_of_followed
             told(outcome.programme, outcome.solution.x)
             warn_of_beginnings(outcome.programme, outcome.solution.x)
-            std = np.array([fit[name].std_error for name in fit.free_names])
-            warn_of_contradiction(outcome.programme, outcome.solution.x, std)
+            warn_of_contradiction(outcome.programme, outcome.solution.x)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:
