@@ -158,6 +158,10 @@ def reduce_structure(
     figures are within their guidelines (insensitivity 10 %, Cramér-Rao 20 %) or a step is rejected;
     a fit that fails is a step too, and its parameter is left alone from then on.
 
+    Standard errors are those of a structure chosen beforehand, which this one was not: of
+    parameters that are zero those survive that chance has made large, two errors from zero or more.
+    Judge what stays by records that were not fitted.
+
     Parameters
     ----------
     model, data, estimator, start, fixed, bounds, execution
