@@ -301,7 +301,8 @@ class Record(Shown):
 
     def cut(self, start: float, end: float) -> "Record":
         """Return the samples with ``start <= t <= end`` [s]."""
-        if (n := int((keep := (self.t >= start) & (self.t <= end)).sum())) < 2:
+        keep = (self.t >= start) & (self.t <= end)
+        if (n := int(keep.sum())) < 2:
             raise ValueError(
                 f"record {self.name!r} has {n} sample{'s' * (n != 1)} between {start:g} s and "
                 f"{end:g} s; it lasts from {self.t[0]:g} s to {self.t[-1]:g} s"
@@ -368,9 +369,8 @@ class Record(Shown):
 
     def _rest(self) -> int:
         """Samples that a trim is taken from, one at least; a warning if they are few."""
-        if (n := max(self.quiet_samples(), 1)) < self.N and (
-            length := float(self.t[n] - self.t[0])
-        ) < REST:
+        n = max(self.quiet_samples(), 1)
+        if n < self.N and (length := float(self.t[n] - self.t[0])) < REST:
             warn(
                 f"record {self.name!r}: an input moves {length:.3g} s after the start, so that its "
                 f"trim is the mean of {n} sample{'s' * (n > 1)}; take that of another record, or "

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter, lsim
+from truths.structures import Banking
 
 from casid import (
     DataWarning,
-    Model,
     NonlinearModel,
     OutputError,
     Record,
-    Rows,
     Scalar,
     parameter,
 )
@@ -24,25 +23,10 @@ NOISE = np.array([0.03, 0.01])
 TRUE = (0.5, 0.3)
 
 
-class Roll(Model):
-    """p' = Lp p + Llat lat, and the roll angle."""
+class BankingWritten(NonlinearModel):
+    """`Banking` as equations."""
 
-    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
-
-    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
-    Llat: Scalar = parameter(default=8.0, lower=0.0, upper=60.0, unit="rad/s^2")
-
-    def A(self) -> Rows:
-        return [[self.Lp, 0], [1, 0]]
-
-    def B(self) -> Rows:
-        return [[self.Llat], [0]]
-
-
-class RollWritten(NonlinearModel):
-    """`Roll` as equations."""
-
-    states, inputs, outputs = Roll.states, Roll.inputs, Roll.outputs
+    states, inputs, outputs = Banking.states, Banking.inputs, Banking.outputs
 
     Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
     Llat: Scalar = parameter(default=8.0, lower=0.0, upper=60.0, unit="rad/s^2")
@@ -85,7 +69,7 @@ def test_a_contradicted_initial_state_is_told_with_what_the_records_would_say(st
 
     alone = least_squares(off, [-4.0, 10.0, 0.3], xtol=1e-12)
     error = np.sqrt(np.linalg.inv(alone.jac.T @ alone.jac)[2, 2])
-    (said,) = told(Roll(), [record], phi=(wrong, std), p=(TRUE[0], 1e-9))
+    (said,) = told(Banking(), [record], phi=(wrong, std), p=(TRUE[0], 1e-9))
     assert f"the initial state phi = 0.35 ± {std:.2g} of flight 0" in said
     value, spread, deviations = (
         float(part.split()[0]) for part in said.replace("±", ",").split("say ")[1].split(",")[:3]
@@ -96,7 +80,7 @@ def test_a_contradicted_initial_state_is_told_with_what_the_records_would_say(st
 
 
 @pytest.mark.second
-@pytest.mark.parametrize("model", [Roll(), RollWritten()])
+@pytest.mark.parametrize("model", [Banking(), BankingWritten()])
 def test_only_the_records_and_states_that_are_contradicted_are_named(model):
     records = [*flown(0, 1), *flown(2, begun=(0.5, 0.6))]
     (said,) = told(model, records, phi=(0.3, 0.001), p=(0.5, 0.01))
@@ -109,10 +93,10 @@ def test_what_is_right_is_not_told(std):
     rng = np.random.default_rng(9)
     for seed in range(4):
         p, phi = TRUE + std * rng.standard_normal(2)
-        assert not told(Roll(), flown(seed), p=(p, std), phi=(phi, std))
-    assert not told(RollWritten(), flown(7), p=(TRUE[0], std), phi=(TRUE[1], std))
+        assert not told(Banking(), flown(seed), p=(p, std), phi=(phi, std))
+    assert not told(BankingWritten(), flown(7), p=(TRUE[0], std), phi=(TRUE[1], std))
 
 
 def test_gusts_are_no_other_initial_state():
     gust = lfilter([0.1], [1, -0.95], np.random.default_rng(4).standard_normal(len(T)))
-    assert not told(Roll(), flown(4, gust=gust), p=(TRUE[0], 1e-3), phi=(TRUE[1], 1e-3))
+    assert not told(Banking(), flown(4, gust=gust), p=(TRUE[0], 1e-3), phi=(TRUE[1], 1e-3))

@@ -6,28 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
+from truths.structures import Banking
 
-from casid import DataWarning, Model, Record, Rows, Scalar, output_error, parameter
+from casid import DataWarning, Record, output_error
 from casid.shooting.agreement import Source
 from casid.shooting.contradiction import OPPOSED, contradiction
 from casid.shooting.discord import Records
 
 T = np.arange(0, 6, 0.05)
-
-
-class Roll(Model):
-    """p' = Lp p + Llat lat, and the roll angle."""
-
-    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
-
-    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
-    Llat: Scalar = parameter(default=8.0, lower=0.0, upper=60.0, unit="rad/s^2")
-
-    def A(self) -> Rows:
-        return [[self.Lp, 0], [1, 0]]
-
-    def B(self) -> Rows:
-        return [[self.Llat], [0]]
 
 
 def flown(count, seed):
@@ -38,7 +24,7 @@ def flown(count, seed):
     for k in range(count):
         u = 0.2 * np.sign(np.sin((1.5 + 0.5 * k) * T)) * (T > 0.5)
         y = lsim(system, u, T)[1] + rng.standard_normal((len(T), 2)) * [0.03, 0.01]
-        made.append(Record(T, u[:, None], y, Roll.inputs, Roll.outputs, f"flight {k}"))
+        made.append(Record(T, u[:, None], y, Banking.inputs, Banking.outputs, f"flight {k}"))
     return made
 
 
@@ -46,7 +32,7 @@ def told(records, **settings):
     """The fit and what is said of records that contradict each other."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DataWarning)
-        fit = output_error(Roll(), records, **settings)
+        fit = output_error(Banking(), records, **settings)
     return fit, [str(each.message) for each in caught if str(each.message).startswith(OPPOSED)]
 
 
@@ -118,7 +104,7 @@ def test_residuals_that_are_not_white_are_not_taken_for_such():
 @pytest.mark.second
 def test_what_is_known_before_and_wrong_sets_no_two_flights_against_each_other():
     with pytest.warns(DataWarning, match="Lp"):  # it is told of the prior
-        output_error(Roll(), flown(2, seed=3), priors={"Lp": (-9.0, 0.01)})
+        output_error(Banking(), flown(2, seed=3), priors={"Lp": (-9.0, 0.01)})
     assert told(flown(2, seed=3), priors={"Lp": (-9.0, 0.01)})[1] == []
 
 

@@ -179,3 +179,18 @@ class Roll(Model):
 
     def constraints(self) -> Sequence[Constraint]:
         return [Constraint("damping", self.Lp + 10 * self.Yv, -20.0, 0.0)]
+
+
+class Banking(Model):
+    """p' = Lp p + Llat lat, and the roll angle."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
+
+    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=8.0, lower=0.0, upper=60.0, unit="rad/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Lp, 0], [1, 0]]
+
+    def B(self) -> Rows:
+        return [[self.Llat], [0]]
