@@ -250,16 +250,17 @@ def test_what_lies_off_the_one_model_is_told_and_the_report_leads_with_it(fit):
     assert said in caution.text
 
 
-def test_chance_calls_one_campaign_in_a_hundred_off(fit):
+@pytest.mark.parametrize("known", [1e-9, 1.0], ids=["well", "no better"])
+def test_chance_calls_one_campaign_in_a_hundred_off(fit, known):
     rng = np.random.default_rng(17)
     made = envelope(fit, at(*np.linspace(20.0, 40.0, 9)), PAIRS)
-    whole = replace(made, std_error=1e-9 * made.std_error)  # known, beside one fit alone
-    drawn = [
-        replace(made, values=made.values + made.std_error * rng.standard_normal((9, 2)))
-        for _ in range(3000)
-    ]
-    share = np.mean([bool(_apart(whole, each)) for each in drawn])
-    assert share == pytest.approx(0.01, abs=4 * np.sqrt(0.01 / 3000))
+
+    def drawn(share):
+        values = made.values + share * made.std_error * rng.standard_normal((9, 2))
+        return replace(made, values=values, std_error=share * made.std_error)
+
+    told = [bool(_apart(drawn(known), drawn(1.0))) for _ in range(3000)]
+    assert np.mean(told) == pytest.approx(0.01, abs=4 * np.sqrt(0.01 / 3000))
 
 
 def test_poles_are_followed_where_they_cross(fit):

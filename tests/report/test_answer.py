@@ -68,6 +68,12 @@ def test_an_error_of_the_noise_is_called_so_and_no_other_reason_given():
     assert verdict("p", 0.05).reason == ""
 
 
+def test_what_hardly_moves_is_counted_as_not_judged_and_is_no_worst_output():
+    said = predictions_told([verdict("q", 0.2), verdict("p", 0.9, rms=0.1)], ALONE)
+    assert "fair on 1, not judged on 1" in said
+    assert "worst on q 0.20 (" in said
+
+
 def test_the_picture_ends_at_one_half():
     assert (theil_place(0.0), theil_place(0.25), theil_place(2.0)) == (0.0, 50.0, 100.0)
 

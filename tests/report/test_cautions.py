@@ -73,6 +73,10 @@ def without_stick(t, lat, p, phi):  # noqa: ARG001 - a row
     return t, "50", f"{0.01 + 0.002 * rng.standard_normal():.6f}", phi
 
 
+def stick_too_large(t, lat, p, phi):
+    return t, str(1.3 * float(lat)), p, phi
+
+
 def too_large(t, lat, p, phi):
     return t, lat, str(1.5 * float(p)), phi
 
@@ -239,6 +243,10 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
         [(RECORDS, f'{RECORDS[:-1]}, "random.csv"]')], None, changed("3211", too_large),
         ["Record 3211 disagrees with the others: p is 1."],
     ),
+    "of a stick of another gain in one record": (
+        [(RECORDS, f'{RECORDS[:-1]}, "random.csv"]')], None, changed("3211", stick_too_large),
+        ["output error: records contradict each other: 3211 and all others, which agree"],
+    ),
     "of one flight twice": (
         [(RECORDS, f'{RECORDS[:-1]}, "copy.csv"]')], None,
         lambda folder: shutil.copy(folder / "sweep.csv", folder / "copy.csv"),
@@ -278,9 +286,12 @@ def test_a_study_raises_the_caution_it_must(name, tmp_path, undrawn):  # noqa: A
     path = write_study(tmp_path, *changes, truth=truth)
     if spoil:
         spoil(tmp_path)
-    said = " ".join(run_study(read_study(path)).cautions)
+    told = run_study(read_study(path)).cautions
+    said = " ".join(told)
     for caution in cautions:
         assert said.count(caution) == 1
+    if name == "of a stick of another gain in one record":
+        assert told[0].startswith(cautions[0])  # it spoils all that is estimated
     # A black box of too low an order is no measure of a structure, which is the true one there.
     if name == "of too low an order":
         assert "The structure is not enough" not in said
