@@ -8,6 +8,7 @@ import pytest
 
 from casid import without_delay
 from casid.errors import DataWarning
+from casid.exchange.delays import approximated
 
 pytestmark = pytest.mark.filterwarnings("ignore:direct terms of delayed inputs")
 
@@ -74,3 +75,20 @@ def test_outputs_that_feel_steps_of_a_delayed_input_at_once_are_told(system, ord
 def test_direct_terms_of_inputs_that_are_not_late_are_not_told(system):
     without_delay(replace(system, D=[[0.5, 0.0], [0.7, 0.0]], delay=[0.0, 0.05]), 3)
     without_delay(replace(system, dt=0.05, delay=[0.05, 0.0]))
+
+
+@pytest.mark.parametrize("order", [1, 3, 5])
+def test_up_to_what_frequency_delays_are_right_is_told_with_their_states(system, order):
+    late = replace(system, delay=[0.05, 0.1], D=0 * system.D)
+    plain = without_delay(late, order)
+    (said,) = approximated(late, plain.states, order)
+    reach = float(said.partition("right up to some ")[2].split()[0])
+
+    def off(omega):
+        true, found = (each.response(np.array([omega]))[0, :, 1] for each in (late, plain))
+        return np.linalg.norm(found - true) / np.linalg.norm(true)
+
+    assert off(reach) < 0.1
+    assert off(2 * reach) > 0.3
+    last = plain.states[-1]
+    assert said.endswith(f"{last} that of {late.inputs[1]}, 0.1 s")
