@@ -80,7 +80,8 @@ def missed_of_samples(
     """As `missed_response`, of a discrete model refined by one-step prediction errors."""
     # Needed by the likelihood of all outputs together, N log det Σ e eᵀ, and by those outputs whose
     # errors it makes less. An innovation model has n (nu + 2 ny) parameters beside D, and the state
-    # that every stretch starts from.
+    # that every stretch starts from. More states go where noise looks most like a mode, of as many
+    # places as there are samples, so that chance makes the likelihood so large somewhere.
     other, its = richer
     data = stretches(records, su, sy, other.nx + 2)
     white = np.eye(len(sy))
@@ -88,7 +89,7 @@ def missed_of_samples(
     gain = len(E) * (np.linalg.slogdet(E.T @ E)[1] - np.linalg.slogdet(less.T @ less)[1])
     more = (other.nx - system.nx) * (system.nu + 2 * system.ny + len(data))
     ratio = (np.sum(E**2, axis=0) + 1e-300) / (np.sum(less**2, axis=0) + 1e-300)
-    needed = (ratio > 1) & (gain > scipy.special.chdtri(more, SELDOM))
+    needed = (ratio > 1) & (gain > scipy.special.chdtri(more, SELDOM / len(E)))
     return _farthest(system, other, uncertainty, band, needed, ratio)
 
 
