@@ -173,6 +173,18 @@ def test_turbulence_fed_back_hands_over_to_prediction_errors_whose_intervals_hol
     assert np.mean(np.abs(off) < 1.96) > 0.85
 
 
+@pytest.mark.second
+@pytest.mark.parametrize("seed", [1, 7])
+def test_a_growth_that_prediction_errors_find_is_not_doubted_by_what_feedback_biases(seed):
+    plant, records = gusty_loop(0.04, 30.0, seed)
+    box = pbsid(records, **GUSTY)
+    assert box.refinement == "prediction"
+    (growing,) = (pole for pole in box.system.poles() if pole.real > 0)
+    (true,) = (pole for pole in plant.poles() if pole.real > 0)
+    assert abs(growing - true) < 0.25
+    assert not len(box.doubtful)
+
+
 def test_feedback_without_turbulence_keeps_transforms_and_says_nothing():
     box = pbsid(gusty_loop(0.0, 30.0, 0)[1], **GUSTY)
     assert box.refinement == "fourier"
