@@ -1,8 +1,13 @@
 """The typed failures of casid; a bad argument is a plain ``ValueError``."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from inspect import currentframe
 from typing import Any
+
+_ASKED = ContextVar("asked", default=True)
 
 
 class ModelError(ValueError):
@@ -27,3 +32,18 @@ def warn(message: str) -> None:
     while frame is not None and str(frame.f_globals.get("__name__")).startswith("casid."):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, DataWarning, stacklevel=level)
+
+
+def asked() -> bool:
+    """Whether an estimator is to ask its data what costs much and only leads to a warning."""
+    return _ASKED.get()
+
+
+@contextmanager
+def unasked(*, when: bool = True) -> Iterator[None]:
+    """Within, if ``when`` holds, data are not `asked`: a fit beside has told, or nobody listens."""
+    token = _ASKED.set(_ASKED.get() and not when)
+    try:
+        yield
+    finally:
+        _ASKED.reset(token)

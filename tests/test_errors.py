@@ -11,6 +11,7 @@ from casid import (
     SpectralAnalysis,
     frequency_response,
 )
+from casid.errors import asked, unasked
 
 
 def test_a_model_error_is_a_value_error():
@@ -38,3 +39,12 @@ def test_a_data_warning_points_at_the_line_of_the_caller_however_deep_it_arises(
     with pytest.warns(DataWarning, match="finer than a record") as value:
         SpectralAnalysis(omega=fine).fit(record)
     assert {each.filename for each in (*door, *value)} == {__file__}
+
+
+def test_data_are_asked_but_within_and_stay_unasked_further_within():
+    assert asked()
+    with unasked(when=False):
+        assert asked()
+    with unasked(), unasked(when=False):
+        assert not asked()
+    assert asked()

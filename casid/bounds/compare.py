@@ -31,10 +31,12 @@ from casid.record import Record
 from casid.records import several
 from casid.shooting.contradiction import OPPOSED
 from casid.shooting.output_error import OutputError
+from casid.shooting.whiteness import FED
 from casid.tabulation import csv_text, markdown_table
 from casid.textfile import write_text
 from casid.validation import Validation, validate
 
+OF_RECORDS = OPPOSED, FED  # how what residuals say of them begins
 WORSE = 1e-6  # of the cost: a wider case that fits worse than this has found another minimum
 
 
@@ -181,7 +183,8 @@ def compare_bounds(
     read = fits.cases(cases)
     jobs = _jobs(read, fits, start)
     done = _from_each_other(read, fits, fits.run(jobs))
-    tell(_of_records(returned({case.name: done[case.name] for case in read})))
+    said = returned({case.name: done[case.name] for case in read})
+    tell(_of_records(said, next(job.name for job in jobs if job.name in said)))
     good = {case.name: done[case.name].result for case in read if not done[case.name].reason}
     freest, judged = jobs[0].name, None
     if good and (unseen := several(validation)):
@@ -204,15 +207,17 @@ def compare_bounds(
     )
 
 
-def _of_records(said: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
-    """Warnings of cases, without contradictions of records that are a bound's doing: not of all."""
-    if all(any(text.startswith(OPPOSED) for text in texts) for texts in said.values()):
-        return said
-    return {name: _without(OPPOSED, texts) for name, texts in said.items()}
+def _of_records(said: Mapping[str, Sequence[str]], freest: str) -> dict[str, tuple[str, ...]]:
+    """Warnings of cases; what the freest says of records is told of all, others are not asked.
 
-
-def _without(start: str, texts: Sequence[str]) -> tuple[str, ...]:
-    return tuple(text for text in texts if not text.startswith(start))
+    Under bounds that the truth breaks, records contradict each other by the bounds' doing.
+    """
+    of_all = [text for text in said[freest] if text.startswith(OF_RECORDS)]
+    own = {
+        name: [text for text in texts if not text.startswith(OF_RECORDS)]
+        for name, texts in said.items()
+    }
+    return {name: (*texts, *of_all) for name, texts in own.items()}
 
 
 def _from_guess(case: CaseResult, guess: Model) -> CaseResult:
@@ -249,7 +254,7 @@ def _jobs(cases: Sequence[Case], fits: Fits, start: Model | AnyFit | None) -> li
         wider = [job for job, other in zip(jobs, order, strict=False) if case.within(other)]
         halfway = wider[(len(wider) - 1) // 2 :][:1]
         after = [*halfway, *jobs[:1]]
-        jobs.append(fits.job(case, guess if jobs else start, after=after))
+        jobs.append(fits.job(case, guess if jobs else start, after=after, asked=not jobs))
     return jobs
 
 
@@ -273,7 +278,7 @@ def _from_each_other(
             if near:
                 start = starts[case.name] = min(near, key=cost.__getitem__)
                 name = f"{case.name}, from {start}"
-                jobs.append(fits.job(case, best[start].result, name=name))
+                jobs.append(fits.job(case, best[start].result, name=name, asked=False))
         if not jobs:
             return best
         tried |= starts.items()

@@ -290,6 +290,7 @@ def _jobs(many: Fits, name: str, parts: Sequence[tuple[int, ...]]) -> list[Job]:
             case,
             after=[whole],
             alone=False,
+            asked=False,
             draw=Without(part),
             name=f"{name}, without {', '.join(str(i + 1) for i in part)}",
         )

@@ -146,7 +146,8 @@ def profile_parameters(
     free, *held = many.cases({FREE: {}} | dict(zip(labels, at, strict=True)))
     first = many.job(free, start)
     guess = start.model if isinstance(start, Fit) else start
-    done = many.run([first, *(many.job(case, guess, after=[first]) for case in held)])
+    points_of = [many.job(case, guess, after=[first], asked=False) for case in held]
+    done = many.run([first, *points_of])
     whole = done.pop(FREE)
     tell({FREE: whole.warnings})  # of the points it is what holding them there makes of the fit
     if whole.reason:
@@ -224,7 +225,7 @@ def _end(many: Fits, free: AnyFit, name: str, goal: float) -> float:
         if x == near:  # already on its bound
             return x
         (case,) = many.cases({f"{name} = {x!r}": {name: x}})
-        done = many.run([many.job(case, free)])[case.name]
+        done = many.run([many.job(case, free, asked=False)])[case.name]
         if done.reason:
             far, x = x, (near + x) / 2
             continue

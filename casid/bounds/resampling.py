@@ -371,7 +371,7 @@ def _ensemble(
     """Fits to all draws, in order, each by an estimator of its own if given."""
     (case,) = many.cases({"draw": {}})
     jobs = [
-        many.job(case, start, draw=draw, estimator=own, name=f"run {k}")
+        many.job(case, start, draw=draw, estimator=own, name=f"run {k}", asked=False)
         for k, (draw, own) in enumerate(zip_longest(draws, estimators))
     ]
     done = list(many.run(jobs).values())

@@ -10,7 +10,7 @@ import numpy as np
 
 from casid.bounds.cases import Case, CaseSpec, as_user_class, constrained, feasible, read_cases
 from casid.bounds.robust import weights
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, unasked
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job, UnfinishedError, run_jobs
@@ -58,6 +58,7 @@ class Trial:
     near: Any = None  # a fit nearby, encoded, for a job that starts from no other
     draw: Draw | None = None  # makes the fit's own data from the study's; picklable
     estimator: Estimator | None = None  # instead of the study's
+    asked: bool = True  # what it says of the data, or a fit nearby has told that, if it succeeded
 
 
 class Fits:
@@ -110,19 +111,23 @@ class Fits:
         draw: Draw | None = None,
         estimator: Estimator | None = None,
         name: str | None = None,
+        asked: bool = True,
     ) -> Job:
-        """The fit of a case from a start, or from the nearest of the jobs it comes after."""
+        """The fit of a case from a start, or from the nearest of the jobs it comes after.
+
+        Near a fit that succeeded it may be not ``asked`` what the data say (`casid.errors.asked`).
+        """
         values = {each.name: getattr(self.model, each.name) for each in fields(self.model)}
         guess, near = start, None
         if isinstance(start, Fit):  # how long that took makes no other result
             guess, near = start.model, encode(replace(start, seconds=0.0))
         if guess is not None:
             values |= {each: getattr(guess, each) for each in self.model.parameter_names()}
-        own: Any = {"draw": draw, "estimator": estimator}
+        own: Any = {"draw": draw, "estimator": estimator, "asked": asked}
         trial = Trial(setup=self._setup, values=values, case=case, near=near, **own)
         said = (dict(case.bounds), [asdict(relation) for relation in case.relations])
         before = [job.key for job in after]
-        key = digest(self._setup.key, values, said, near, draw, estimator, before)
+        key = digest(self._setup.key, values, said, near, draw, estimator, asked, before)
         names = tuple(job.name for job in after)
         return Job(name=name or case.name, key=key, payload=trial, after=names, alone=alone)
 
@@ -155,7 +160,8 @@ def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any
     bounds = job.case.bounds
     try:
         estimator = job.estimator or setup.estimator
-        fit = estimator.fit(inside, data, fixed=setup.fixed, bounds=bounds, near=near)
+        with unasked(when=not job.asked and near is not None and near.success):
+            fit = estimator.fit(inside, data, fixed=setup.fixed, bounds=bounds, near=near)
     except ConvergenceError as error:
         best = error.best
         shown = _own(best, cls) if isinstance(best, Fit) else None

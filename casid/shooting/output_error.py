@@ -19,7 +19,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.declaration import check_priors
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, asked
 from casid.estimates import constraint_table, held_directions, parameter_table
 from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters, violated
@@ -164,11 +164,13 @@ class OutputError:
         fit = _result(model, free, outcome, time.perf_counter() - begin, steps)
         if not rough:
             warn_of_missed(outcome, self.interval)
-            filtering = outcome.programme.evaluator.filtering
-            told = warn_of_innovations if filtering else warn_of_followed
-            told(outcome.programme, outcome.solution.x)
-            warn_of_beginnings(outcome.programme, outcome.solution.x)
-            warn_of_contradiction(outcome.programme, outcome.solution.x)
+            end = outcome.programme, outcome.solution.x
+            warn_of_beginnings(*end)
+            if outcome.programme.evaluator.filtering:
+                warn_of_innovations(*end)
+            elif asked():
+                warn_of_followed(*end)
+                warn_of_contradiction(*end)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:

@@ -33,6 +33,8 @@ LEVEL = 1e-6  # of each test
 ROUNDING = 1e-5  # of an output: a residual as small is that of the computation
 UNEVEN = 2.0  # times the variance of another record's innovations
 
+FED = "output error: residuals are correlated in time"  # how what is told of feedback begins
+
 
 def whitened(programme: Programme, x: Array) -> list[Array]:
     """Residuals or innovations (N, ny) of every record, whitened, 0 where missing.
@@ -152,7 +154,7 @@ def warn_of_followed(programme: Programme, x: Array) -> None:
     if not linear:
         filtering += f" and {type(model).__name__}().at(trim), as a nonlinear structure has none"
     warn(
-        f"output error: residuals are correlated in time ({outputs}), and later inputs ({inputs}) "
+        f"{FED} ({outputs}), and later inputs ({inputs}) "
         "follow them, as where a pilot or controller answers gusts. Output error takes inputs to "
         "know nothing of residuals to come: parameters, delays above all, are biased by more than "
         f"their standard errors. Estimate with {filtering}, or identify the closed loop "

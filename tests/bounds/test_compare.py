@@ -25,6 +25,7 @@ from casid import (
 )
 from casid.bounds.compare import _of_records
 from casid.bounds.robust import weights
+from casid.errors import unasked, warn
 from casid.shooting.contradiction import OPPOSED
 
 OMEGA = np.geomspace(0.2, 8.0, 25)
@@ -365,9 +366,30 @@ def test_what_all_cases_hold_is_said_to_have_no_price(recwarn):
 def test_what_records_do_to_each_other_under_one_bound_is_told_of_no_case():
     told = f"{OPPOSED}: r0 and all others"
     said = {"free": ("few data",), "tie": (told, "few data")}
-    assert _of_records(said) == {"free": ("few data",), "tie": ("few data",)}
-    every = {"free": (told,), "tie": (told, "few data")}
-    assert _of_records(every) == every
+    assert _of_records(said, "free") == {"free": ("few data",), "tie": ("few data",)}
+    of_all = {"free": (told,), "tie": ("few data", told)}
+    assert _of_records({"free": (told,), "tie": ("few data",)}, "free") == of_all
+
+
+@pytest.mark.second
+def test_what_records_say_is_asked_of_the_freest_case_and_told_of_all(monkeypatch):
+    asked = []
+
+    def told(programme, _):
+        asked.append(programme.free.names)
+        warn(f"{OPPOSED}: r0 and all others")
+
+    monkeypatch.setattr("casid.shooting.output_error.warn_of_contradiction", told)
+    cases = {"tight": {"a": "< -2.5"}, "free": {}, "held": {"a": "fixed"}}
+    settings = {"cases": cases, "execution": HERE, "estimator": OutputError()}
+    with pytest.warns(DataWarning, match=f"^{OPPOSED}: r0") as said:  # of no case alone
+        compare_bounds(Mixture(), [record()], **settings)
+    assert len(asked) == len([each for each in said if OPPOSED in str(each.message)]) == 1
+    with unasked():
+        start = OutputError().fit(Mixture(), [record()])
+    with pytest.warns(DataWarning, match=OPPOSED):  # the start may be of other records
+        compare_bounds(Mixture(), [record()], start=start, **settings)
+    assert len(asked) == 2
 
 
 @pytest.mark.second
