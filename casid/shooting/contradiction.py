@@ -18,6 +18,7 @@ from casid.display import listed
 from casid.errors import warn
 from casid.shooting import uncertainty
 from casid.shooting.agreement import APART, MOST, Source
+from casid.shooting.delays import on_breaks
 from casid.shooting.discord import SELDOM, Discord, Records, discord
 from casid.shooting.precision import held, information, slopes
 from casid.shooting.programme import Programme
@@ -46,7 +47,9 @@ def warn_of_contradiction(programme: Programme, x: Array) -> None:
         return
     F, follow = information(programme, x)
     alone = np.diag(programme.blocks(x).Hll)
-    P = uncertainty.determined(F, held(programme, x), alone)
+    # On a break of its likelihood a delay leaves records slopes that say nothing of contradiction.
+    on = np.eye(len(F))[: len(free.index)][on_breaks(programme, programme.unpack(x).lam)]
+    P = uncertainty.determined(F, np.vstack([held(programme, x), on]), alone)
     found = contradiction(P, whitened(programme, x), slopes(programme, x, follow))
     if found is None:
         return
