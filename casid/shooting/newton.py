@@ -24,11 +24,12 @@ from casid.assembly import Pattern, evaluated, grid, stack
 from casid.nlp import Problem, Solution
 from casid.shooting.curvature import Curvature, curvature
 from casid.shooting.hamiltonian import hamiltonian
-from casid.shooting.nonlinear import NonlinearSweep
+from casid.shooting.nonlinear import NonlinearEvaluator, NonlinearSweep
 from casid.shooting.programme import Programme
 
 MEET = 1e-2  # gaps between intervals that meet, in units of unit curvature
 GAIN = 1.0  # of log-likelihood: a step that gains less ends within the confidence region
+SHRINK, IN_TURN = 0.7, 2  # of the last step, that so many may exceed before Gauss-Newton goes on
 LEAP = 10.0  # times the step into the neighbourhood: too long for one within
 
 
@@ -40,8 +41,8 @@ class Newton:
 
     def __init__(self, programme: Programme, *, close: bool = False) -> None:
         self.programme = programme
-        self._descent = _Descent(programme.n, close)
         noise, e = programme.noise, programme.evaluator
+        self._descent = _Descent(programme.n, close, exact=not isinstance(e, NonlinearEvaluator))
         self.auxiliary = e.ny if noise.concentrated and e.curved else 0
 
     def problem(self, start: Array) -> Problem:
@@ -153,13 +154,16 @@ class _Descent:
     """Whether the iterates of one solve are close to its end, as their steps show.
 
     Newton's steps shrink there. One much longer than that into the neighbourhood was taken too
-    early, where the curvature may have any sign; Gauss-Newton then goes on.
+    early, where the curvature may have any sign; Gauss-Newton then goes on. It does too where steps
+    with a curvature that is not ``exact`` do not shrink: over a sample in which fast modes die out
+    that of `casid.shooting.hamiltonian` may be far off.
     """
 
-    def __init__(self, n: int, close: bool) -> None:
-        self._n, self._close, self._early = n, close, False
+    def __init__(self, n: int, close: bool, *, exact: bool = True) -> None:
+        self._n, self._close, self._early, self._exact = n, close, False, exact
         self._last: tuple[Array, float] | None = None
-        self._entry = np.inf
+        self._entry = self._step = np.inf
+        self._long = 0  # steps in turn that were hardly shorter than the one before
 
     def close(self, x: Array, cost: float) -> bool:
         """Whether x is close, the next iterate or the last again; its cost is per observation."""
@@ -167,6 +171,9 @@ class _Descent:
         if self._last is not None and not again:
             step = float(np.abs(x - self._last[0]).max())
             self._early |= self._close and step > LEAP * self._entry
+            self._long = self._long + 1 if self._close and step > SHRINK * self._step else 0
+            self._early |= not self._exact and self._long >= IN_TURN
+            self._step = step
             if not self._close:
                 self._entry = step
             self._close = self._close or abs(cost - self._last[1]) * self._n < GAIN

@@ -68,3 +68,14 @@ def test_newton_begins_within_the_confidence_region_and_ends_where_a_step_leaps(
     # The step of 0.05 gains a tenth of a unit; that of 1.85 is longer than ten of it.
     assert said == [False, False, False, True, True, False, False]
     assert _Descent(n, close=True).close(np.array([0.0]), 9.0)
+
+
+def test_where_the_curvature_is_not_exact_steps_that_do_not_shrink_end_newtons():
+    def said(exact, *places):
+        descent = _Descent(1000, close=True, exact=exact)
+        return [descent.close(np.array([x]), -x) for x in places]
+
+    # Steps of 1, then .8 of the last, and again: too long, unless they shrink in between.
+    creeping, shrinking = (0.0, 1.0, 1.8, 2.44, 2.5), (0.0, 1.0, 1.8, 2.1, 2.34, 2.36)
+    assert said(False, *creeping) == [True, True, True, False, False]
+    assert all(said(True, *creeping) + said(False, *shrinking))
