@@ -141,20 +141,27 @@ class StructureComparison(Tabled):
         return "".join(lines)
 
     def headline(self) -> str:
-        """Which candidate predicts best, and the simplest that is not worse."""
+        """Which candidate predicts best, and the simplest that is not worse, with what it loses."""
         of = f"{len(self.names)} candidates, {len(self.manoeuvres)} manoeuvres left out in turn"
         if np.isinf(self.excess[0]).all():
             return f"{of}; every candidate failed"
-        return f"{of}; best {self.best}, the simplest that is not worse {self.simplest}"
+        told = f"{of}; best {self.best}, the simplest that is not worse {self.simplest}"
+        best, k = (self.names.index(name) for name in (self.best, self.simplest))
+        if k == best:
+            return told
+        mean, error = self.excess
+        likelier = self.aicc[k] - self.aicc[best]
+        beside = f", AICc {likelier:+.0f}" if np.isfinite(likelier) else ""
+        return f"{told} ({_above(mean[k], error[k])}{beside})"
 
     def cells(self) -> Cells:
         """Heading, and one row a candidate: "failed" of one that did on some manoeuvre."""
         each = zip(self.names, self.parameters, *self.excess, self.aicc, strict=True)
         rows = []
         for name, count, mean, error, criterion in each:
-            above = f"{100 * np.expm1(mean):+.0f} % ± {100 * error:.0f} %"
             told = "" if np.isnan(criterion) else f"{criterion:.0f}"
-            rows.append([name, str(count), "failed" if np.isinf(mean) else above, told])
+            above = "failed" if np.isinf(mean) else _above(mean, error)
+            rows.append([name, str(count), above, told])
         return ("candidate", "parameters", "error above the best", "AICc"), rows
 
     def to_markdown(self) -> str:
@@ -162,6 +169,10 @@ class StructureComparison(Tabled):
         heading, rows = self.cells()
         said = [f"- {job}: {reason}" for job, reason in self.reasons.items()]
         return "\n\n".join(filter(None, [markdown_table(heading, rows), "\n".join(said)]))
+
+
+def _above(mean: float, error: float) -> str:
+    return f"{100 * np.expm1(mean):+.0f} % ± {100 * error:.0f} %"
 
 
 @dataclass(frozen=True, eq=False)
