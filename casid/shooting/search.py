@@ -22,7 +22,7 @@ from casid.shooting.nearby import Iterate, followed, predicted
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import Integration, NonlinearEvaluator
 from casid.shooting.programme import Programme
-from casid.shooting.reduced import LAST, completed
+from casid.shooting.reduced import LAST, Reduced, completed
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of
 
@@ -178,7 +178,9 @@ class Search:
         best = self.around(self._released(self.run(inside, point, R, near=near)))
         if near and best.solution.success:
             return best
-        other = self.around(self._released(self.run(programme, point, R, near=near)))
+        other = self._released(self.run(programme, point, R, near=near))
+        if not abs(other.cost - best.cost) < GAIN:  # an end whose sides have not been tried
+            other = self.around(other)
         LOG.info(
             "output error, delays held in their samples, and free: %s", (best.cost, other.cost)
         )
@@ -241,8 +243,11 @@ class Search:
             return outcome.failed("it is best where the outcome's own stretch begins")
         programme = loose.balanced(point if guess is None else loose.unpack(guess.x))
         rounds = outcome.rounds + 1
+        least = Reduced(programme, self.options, "").least
         if guess is not None:
             solution = self._near(programme, guess.carried(loose, programme), rounds, self.options)
+        elif least(programme.pack(point)) > outcome.cost + GAIN:
+            return outcome.failed("all of its stretch is less likely")
         else:
             warm = _carried(outcome.solution, last, programme)
             solution = self._solve(programme, point, warm, rounds, self.options)

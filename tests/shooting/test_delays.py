@@ -236,6 +236,30 @@ def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_stretch_beyond_a_jump_that_is_passed_over_has_nothing_better(monkeypatch):
+    told, ends = [], []
+    honest, solved = search.Reduced.least, search.Search._inside
+
+    def least(own, x):
+        told.append(honest(own, x))
+        return -np.inf  # solved all the same
+
+    def inside(own, outcome, side):
+        before = len(told)
+        end = solved(own, outcome, side)
+        ends.extend((value, end.cost, outcome.cost) for value in told[before:])
+        return end
+
+    monkeypatch.setattr(search.Reduced, "least", least)
+    monkeypatch.setattr(search.Search, "_inside", inside)
+    for seed in range(3):
+        output_error(Roll(tau=2.6 * H), flights(Roll, "zoh", 1.0, seed), bounds=BOUNDS)
+    value, end, best = np.array(ends).T
+    assert (value < end).all()
+    assert (value > best).sum() > 2
+
+
+@pytest.mark.slow
 def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
     rng, records = np.random.default_rng(5), []
     for name, steps in (("even", np.full(400, H)), ("uneven", rng.uniform(0.5, 1.5, 400) * H)):

@@ -58,6 +58,33 @@ def test_steps_of_the_parameters_alone_end_where_those_of_all_variables_do(bound
 
 
 @pytest.mark.second
+def test_no_steps_lead_below_what_is_told_to_be_the_least():
+    programme, x = begun(OFF, [noisy(seed=3)])
+    best = Reduced(programme, OPTIONS, "").run(x)
+    near = Reduced(programme, OPTIONS, "")
+    assert near.least(best.x) == pytest.approx(programme.n * best.f, abs=1e-5)
+    told, rng = [], np.random.default_rng(1)
+    for spread in np.repeat([0.005, 0.02, 0.1, 3.0], 3):
+        away = best.x.copy()
+        away[: programme.evaluator.nf] += spread * rng.standard_normal(programme.evaluator.nf)
+        told.append((spread, near.least(away)))
+    spreads, least = np.array(told).T
+    assert (least < programme.n * best.f).all()
+    assert np.isfinite(least[spreads < 0.01]).all()
+    assert (least > -np.inf).sum() < len(least)  # far away nothing is sure
+    # Of a gain with R given the model is the cost itself, of which half more is taken.
+    others = [name for name in OFF.parameter_names() if name != "Llat"]
+    linear, start = begun(OFF, [noisy(seed=3)], fixed=others)
+    held = linear.variant(noise=replace(linear.noise, given=ONE))
+    end = Reduced(held, OPTIONS, "").run(start)
+    start_cost, end_cost = held.n * held.values(start).cost, held.n * end.f
+    expected = start_cost - 1.5 * (start_cost - end_cost)
+    assert Reduced(held, OPTIONS, "").least(start) == pytest.approx(expected, rel=1e-6)
+    full = programme.variant(noise=replace(programme.noise, kind="full"))
+    assert Reduced(full, OPTIONS, "").least(best.x) == -np.inf
+
+
+@pytest.mark.second
 def test_a_tenth_of_a_standard_error_is_worth_half_a_hundredth_of_log_likelihood():
     programme, x = begun(OFF, [noisy(seed=3)])
     reduced = Reduced(programme, OPTIONS, "")
