@@ -15,8 +15,9 @@ from casid.arrays import Array
 from casid.free import Free
 from casid.nlp import SolverOptions
 from casid.shooting.delays import Delay, Heard, breaking, own_prices
-from casid.shooting.frequency import ROUGH, SpectralOutcome, search
+from casid.shooting.frequency import ROUGH, SpectralOutcome, SpectralProgramme, search
 from casid.shooting.lines import Lines
+from casid.shooting.reduced import SPARE
 from casid.shooting.spectral import SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum
 
@@ -99,7 +100,7 @@ def _beside(
             continue
         residuals = SpectralResiduals(side, lines)
         start = np.clip(outcome.lam, side.lower[free.index], side.upper[free.index])
-        if done(outcome) and (start == outcome.lam).all():
+        if done(outcome) and _no_better(outcome, residuals, start):
             continue
         end = search(residuals, start, judging, known, outcome if done(outcome) else None)
         if known is not held:
@@ -109,6 +110,24 @@ def _beside(
         if _better(end, best):
             best = _released(end, free)
     return best
+
+
+def _no_better(outcome: SpectralOutcome, residuals: SpectralResiduals, start: Array) -> bool:
+    """Whether a side is a solution's own, or surely less likely, from where it begins (nf,).
+
+    By the quadratic model there, and half as much more; see `casid.shooting.reduced.Reduced.least`.
+    """
+    if (start == outcome.lam).all():
+        return True
+    programme = SpectralProgramme(residuals, outcome.programme.spectra, outcome.programme.scales)
+    state = programme.state(start / programme.scales)
+    if state is None:
+        return False
+    unit = 1 / np.sqrt(np.maximum(np.diag(state.F), 1e-300))
+    F, g = state.F * np.outer(unit, unit), state.g * unit
+    gain = float(g @ np.linalg.lstsq(F, g, rcond=None)[0]) / 2  # the more, bounds left out
+    least = programme.likelihood(start / programme.scales) - SPARE * gain
+    return least > likelihood(outcome) + GAIN
 
 
 def _better(end: SpectralOutcome, than: SpectralOutcome) -> bool:

@@ -11,11 +11,13 @@ from truths.heave import Heave, heaved
 from truths.late_pair import Against, Twice, paired
 from truths.structures import LateRoll
 
+import casid.shooting.sides
 from benchmarks.between_samples import BOUNDS, H, flight
 from casid import Record, SolverOptions, output_error
 from casid.free import free_parameters
+from casid.shooting.frequency import search
 from casid.shooting.lines import transformed
-from casid.shooting.sides import EDGE, FIRST, heard, sides
+from casid.shooting.sides import EDGE, FIRST, heard, likelihood, sides
 
 WHOLE = replace(TRUTH, tau=0.06)  # three samples
 
@@ -126,6 +128,26 @@ def test_a_start_two_samples_off_passes_all_kinks_on_the_way(hold):
         assert fit["tau"].value == pytest.approx(0.0, abs=0.1 * H)
     # Spectra estimated from either side settle alike but for a hundredth of a standard error.
     assert fits[1].cost == pytest.approx(fits[0].cost, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
+def test_a_side_that_is_passed_over_has_nothing_better(monkeypatch):
+    honest, above = casid.shooting.sides._no_better, []
+
+    def told(outcome, residuals, start):
+        passed = honest(outcome, residuals, start)
+        if passed and (start != outcome.lam).any():
+            end = search(residuals, start, SolverOptions(), outcome.programme.spectra, outcome)
+            above.append(likelihood(end) - likelihood(outcome))
+        return passed
+
+    monkeypatch.setattr(casid.shooting.sides, "_no_better", told)
+    output_error(replace(WHOLE, tau=0.09), stepped(1), domain="frequency")
+    truth, records = Heave(), heaved(masked=False)
+    output_error(replace(truth, tlon=0.05, tcol=0.1 - 0.005), records, domain="frequency")
+    assert len(above) > 1
+    assert min(above) > 0.0
 
 
 @pytest.mark.slow
