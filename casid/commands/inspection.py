@@ -16,10 +16,10 @@ from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
-from casid.records import Records, same_channels, several, steps_told
+from casid.records import Records, same_channels, several, steps_told, still
 from casid.repetition import repeated, source_interval
 from casid.report.tables import cells
-from casid.samples import bursts
+from casid.samples import bursts, usual_interval
 from casid.saturation import longest_stop, saturated
 from casid.structure.identifiability import Identifiability, identifiability
 
@@ -153,7 +153,8 @@ def inspect_records(
     advice = unit_advice(records, time, stated)
     advice += [said for each in facts for said in _record_advice(each, inputs)]
     advice += steps_told(records, inputs) + _twin_advice(records, (*inputs, *outputs))
-    advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
+    advice += _excitation_advice(facts, inputs, still(records, (*inputs, *outputs)))
+    advice += _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
     moves = kinematics.shifts_of(outputs)[0]  # what comes late looks like feedback
     least = 3 * max(map(abs, moves.values()), default=0.0)  # s of what can be moved
@@ -223,7 +224,7 @@ def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -
         outliers=far,
         source=source,
         clipped=longest_stop(values, stick=name in record.inputs),
-        band=_band(t, values, record.dt),
+        band=_band(t, values),
     )
 
 
@@ -239,16 +240,19 @@ def _noise(values: Array) -> float:
     return white_noise(values) if np.median(steps) > 1e-9 * np.ptp(values) else 0.0
 
 
-def _band(t: Array, values: Array, dt: float) -> Array:
-    """Frequencies [rad/s] below which the shares of a channel's power lie.
+def _band(t: Array, values: Array) -> Array:
+    """Frequencies [rad/s] below which the shares of a channel's power lie; NaN where it rests.
 
-    Of the longest stretch between gaps that straight lines across them would tell of.
+    Of the longest stretch between gaps that straight lines across them would tell of, at the
+    channel's own interval, which may be several of the record's.
     """
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) > GAP * len(t) * dt) + 1, [len(t)]])
+    own = float(np.median(np.diff(t)))
+    gap = max(GAP * len(t) * own, 2.001 * usual_interval(t))
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) > gap) + 1, [len(t)]])
     k = int(np.argmax(np.diff(edges)))
     t, values = t[edges[k] : edges[k + 1]], values[edges[k] : edges[k + 1]]
     duration = float(t[-1] - t[0])
-    even = np.interp(np.linspace(t[0], t[-1], round(duration / dt) + 1), t, values)
+    even = np.interp(np.linspace(t[0], t[-1], round(duration / own) + 1), t, values)
     centred = (even - even.mean()) * np.hanning(len(even))
     power = np.abs(np.fft.rfft(centred))[1:] ** 2
     total = np.cumsum(power)
@@ -310,13 +314,15 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
     return said
 
 
-def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> list[str]:
+def _excitation_advice(
+    facts: Sequence[RecordFacts], inputs: Sequence[str], resting: Collection[str]
+) -> list[str]:
     said = []
     for i in range(len(facts[0].channels)):
         seen = [each.channels[i] for each in facts]
         best = max(seen, key=lambda channel: np.nan_to_num(channel.deviation))
         name = best.name
-        if not np.isfinite(best.band).all():
+        if name in resting:
             why = "fly it" if name in inputs else "look at its sensor, or leave it out"
             said.append(f"{name} never moves: {why}")
         elif name in inputs:

@@ -67,6 +67,27 @@ def test_bands_are_those_between_gaps():
         np.testing.assert_allclose(other.band, one.band, rtol=0.1)
 
 
+@pytest.mark.parametrize(("every", "omega"), [(4, 3.0), (10, 3.0), (25, 2.0)])
+def test_a_channel_ten_times_slower_than_its_record_has_its_band_and_moves(every, omega):
+    record = swept(omega=omega)
+    y = record.y.copy()
+    y[np.arange(record.N) % every != 0, 1] = np.nan
+    found = inspect_records([replace(record, y=y)])
+    # The sine is one line of the spectrum, which all channels have, at whatever rate.
+    np.testing.assert_allclose(facts(found, "r").band, facts(found, "p").band, atol=0.25)
+    assert not any("never moves" in said for said in found.advice)
+
+
+def test_what_rests_in_the_longest_stretch_and_moves_in_another_moves():
+    record = swept()
+    late = replace(
+        record, t=record.t + 100.0 * (record.t > 20), y=record.y * (record.t > 20)[:, None]
+    )
+    found = inspect_records([late])
+    assert np.isnan(facts(found, "p").band).all()
+    assert not any("never moves" in said for said in found.advice)
+
+
 @pytest.mark.parametrize("share", [0.3, 0.45])
 def test_stamps_that_jitter_are_no_gaps_and_a_lost_second_among_them_is_one(share):
     record = swept()
