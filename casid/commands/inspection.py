@@ -274,7 +274,7 @@ def unit_advice(records: Sequence[Record], time: str, stated: Collection[str]) -
     said: dict[str, str] = {}
     for record in records:
         for doubt in unit_doubts(record, time, stated):
-            asked = f"is it in {doubt.units[0]}? State its unit, {doubt.asked()}"
+            asked = doubt.advice(f", {doubt.asked()}")
             said.setdefault(doubt.channel, f"{record.name}: {doubt.said}; {asked}")
     return list(said.values())
 

@@ -11,7 +11,9 @@ from casid.records import still
 
 FEWEST = 16  # samples of a record
 USUAL, SLOW, NEVER = 0.02, 1.0, 10.0  # sampling intervals [s]: of most, of hardly any, of no flight
-TIMES = ("ms", "us", "ns")  # units that clocks count in
+FASTEST, KILOHERTZ = 1.1e-4, 1.1e-3  # s: a shorter interval is no flight's; is, of a flight that
+SHORTEST = 0.1  # s lasts: none as long as this is flown in less
+TIMES = ("s", "ms", "us", "ns")  # units that clocks count in
 FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 6 * np.pi}  # rad: three turns
 TUMBLING = 6.0  # rad/s, a full turn a second
 PULSES = (700.0, 2300.0)  # µs, between which the pulses of a servo stay
@@ -27,19 +29,28 @@ class Doubt:
     said: str
     units: tuple[str, str]  # the likelier, the one it was taken for
     sure: bool = False  # it is not what it was taken for, whoever stated it
+    remedy: str = ""  # where no other unit is one
 
     def asked(self) -> str:
         """The units that may be stated, the likelier first."""
         return self.units[0] if self.sure else " or ".join(self.units)
 
+    def advice(self, statement: str) -> str:
+        """What may be right, and how to say so where ``statement`` is that of a unit."""
+        return self.remedy or f"is it in {self.units[0]}? State its unit{statement}"
 
-def unit_doubts(record: Record, time: str = "t", stated: Collection[str] = ()) -> list[Doubt]:
+
+def unit_doubts(
+    record: Record, time: str | None = "t", stated: Collection[str] = ()
+) -> list[Doubt]:
     """Doubts about time, angles, rates and sticks of a record, columns of ``stated`` unit apart.
 
     Time that no unit makes a flight's is doubted all the same where ``stated`` says its unit.
+    ``time`` is the column of instants, None where they were counted by an interval.
     """
     known = isinstance(stated, Mapping)
-    found = _doubts(record, time, stated.get(time, "s") if isinstance(stated, Mapping) else "s")
+    taken = stated.get(time or "", "s") if isinstance(stated, Mapping) else "s"
+    found = (*_doubts_of_time(record, time, taken), *_doubts(record))
     return [each for each in found if each.channel not in stated or (each.sure and known)]
 
 
@@ -50,11 +61,27 @@ def _unit_of_time(interval: float, taken: str) -> str:
     return min((unit for unit in TIMES if unit != taken), key=lambda unit: off[unit])
 
 
-def _doubts(record: Record, time: str, unit: str) -> Iterator[Doubt]:
-    if record.dt >= SLOW:
-        said = f"the time column {time!r} advances {record.dt:g} s a sample"
+def _doubts_of_time(record: Record, time: str | None, unit: str) -> Iterator[Doubt]:
+    slow, long = record.dt >= SLOW, record.duration >= SHORTEST or record.N < FEWEST
+    if not slow and record.dt > FASTEST and (long or record.dt > KILOHERTZ):
+        return
+    said = f"advances {record.dt:g} s a sample"
+    if not slow:
+        said += f", so that {record.N} samples last {record.duration:.3g} s, as no flight's do"
+    if time is None:
+        said = f"time {said}"
+        yield Doubt(channel="dt", said=said, units=("s", "s"), remedy="correct dt, in seconds")
+        return
+    said = f"the time column {time!r} {said}"
+    if slow or unit != "s":
         units = _unit_of_time(record.dt, unit), unit
-        yield Doubt(channel=time, said=said, units=units, sure=record.dt >= NEVER)
+        yield Doubt(channel=time, said=said, units=units, sure=not slow or record.dt >= NEVER)
+        return
+    remedy = "convert it to seconds (days times 86400, minutes times 60), or state that it is in s"
+    yield Doubt(channel=time, said=said, units=("s", "s"), remedy=remedy)
+
+
+def _doubts(record: Record) -> Iterator[Doubt]:
     for name in (*record.inputs, *record.outputs):
         values = record.channel(name) + record.trim.get(name, 0.0)
         largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
@@ -74,7 +101,7 @@ def check_plausible(
     identification: Sequence[Record],
     records: Sequence[Record],
     units: Mapping[str, str],
-    time: str = "t",
+    time: str | None = "t",
     *,
     total: bool = False,
 ) -> None:
@@ -83,19 +110,18 @@ def check_plausible(
     ``total`` says that the structure is of total values: an input that stands still in each record,
     like a throttle, then teaches something if it does so elsewhere in another.
 
-    ValueError: a sampling interval of a second or more, or angles and rates too large for radians,
-    whose unit nobody stated; an interval of ten seconds or more; a record of a few samples; a
-    channel constant in all of ``identification``.
+    ValueError: a sampling interval of a second and more, or of 0.1 ms and less, less than 0.1 s at
+    a kilohertz and more, or angles and rates too large for radians, whose unit nobody stated; an
+    interval of ten seconds and more, or such a short one in another unit than s, whoever stated it;
+    a record of a few samples; a channel constant in all of ``identification``.
     """
     for record in records:
         for doubt in unit_doubts(record, time, units):
             if doubt.channel not in CONTROLS:  # a structure may take sticks in any unit
                 likely, taken = doubt.units
-                raise ValueError(
-                    f"record {record.name!r}: {doubt.said}; is it in {likely}? State its unit: "
-                    f'[channels.units] {doubt.channel} = "{likely}"'
-                    + (f', or "{taken}"' if not doubt.sure else "")
-                )
+                statement = f': [channels.units] {doubt.channel} = "{likely}"'
+                statement += f', or "{taken}"' if not doubt.sure else ""
+                raise ValueError(f"record {record.name!r}: {doubt.said}; {doubt.advice(statement)}")
         if record.N < FEWEST:
             raise ValueError(
                 f"record {record.name!r} has {record.N} samples, at least {FEWEST} are wanted; "

@@ -230,7 +230,7 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     every = {record.name: record for records in done.values() for record in records}
     channels = study.channels
     total = isinstance(study.model, NonlinearModel)
-    stated = channels.units, channels.time
+    stated = channels.units, channels.time if channels.dt is None else None
     learnt = without_checks(study, {"identification": done["identification"]})["identification"]
     check_plausible(learnt, tuple(every.values()), *stated, total=total)
     with placed("[pbsid]"):

@@ -55,6 +55,40 @@ def test_no_unit_that_is_stated_makes_ten_seconds_a_flights_interval(taken):
         check_plausible([good], [hardly], {"t": taken})
 
 
+@pytest.mark.parametrize("rate", [10, 50, 400])
+@pytest.mark.parametrize(("unit", "worth"), [("s", 1.0), ("ms", 1e-3), ("us", 1e-6)])
+def test_time_in_too_small_a_unit_is_told_with_that_in_which_it_was_counted(rate, unit, worth):
+    counts = 1.79e9 / worth + np.arange(100) / rate / worth
+    for taken, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if factor >= worth:
+            continue
+        record = replace(flight(), t=counts * factor)
+        with pytest.raises(ValueError, match=rf'as no flight.*is it in {unit}\? .* t = "{unit}"$'):
+            check_plausible([flight()], [record], {"t": taken})
+
+
+def test_time_in_days_is_to_be_converted_unless_it_is_said_to_be_in_seconds():
+    days = flight(dt=0.02 / 86400)
+    with pytest.raises(ValueError, match=r"100 samples last 2.29e-05 s.*\(days times 86400"):
+        check_plausible([flight()], [days], {})
+    check_plausible([flight()], [days], {"t": "s"})
+
+
+@pytest.mark.parametrize(("dt", "n"), [(1.25e-4, 1000), (1e-3, 101), (2e-3, 20)])
+def test_records_of_fast_loggers_and_short_ones_pass(dt, n):
+    t = dt * np.arange(n)
+    moved = np.sin(50 * t)[:, None]
+    record = Record(t, moved, np.hstack([moved, moved]), ("lat",), ("p", "phi"), "fast")
+    assert not unit_doubts(record)
+    assert not unit_doubts(record, stated={"t": "us"})
+
+
+@pytest.mark.parametrize(("dt", "said"), [(5.0, "5 s"), (2e-5, "2e-05 s")])
+def test_an_interval_that_is_given_is_to_be_corrected_itself(dt, said):
+    with pytest.raises(ValueError, match=rf"time advances {said} a sample.*; correct dt, in sec"):
+        check_plausible([flight()], [flight(dt=dt)], {}, None)
+
+
 def test_a_heading_passes_for_radians_up_to_three_turns():
     for turns, doubted in ((2.9, False), (3.1, True)):
         psi = 2 * np.pi * turns * np.sin(T / T[-1])[:, None] / np.sin(1.0)
