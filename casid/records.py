@@ -107,6 +107,19 @@ def steps_told(records: Records, inputs: Collection[str]) -> list[str]:
     ]
 
 
+def twins_told(records: Records) -> list[str]:
+    """One line for every two channels that are one signal in all records, names in one order."""
+    records = several(records)
+    names = (*records[0].inputs, *records[0].outputs)
+    x = np.vstack([np.hstack([record.u, record.y]) for record in records])
+    return [
+        f"{names[i]} and {names[j]} are the same samples: one column read twice?"
+        for i in range(len(names))
+        for j in range(i)
+        if np.ptp(np.nan_to_num(x[:, i])) > 0 and np.array_equal(x[:, i], x[:, j], equal_nan=True)
+    ]
+
+
 def _steps(x: Array) -> bool:
     """Whether a channel (N,) moves in steps of its own."""
     found = jumps(x)

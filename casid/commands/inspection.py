@@ -16,7 +16,7 @@ from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
-from casid.records import Records, same_channels, several, steps_told, still
+from casid.records import Records, same_channels, several, steps_told, still, twins_told
 from casid.repetition import repeated, source_interval
 from casid.report.tables import cells
 from casid.samples import bursts, usual_interval
@@ -152,7 +152,7 @@ def inspect_records(
         found = identifiability(model, records, fixed=fixed, bounds=bounds)
     advice = unit_advice(records, time, stated)
     advice += [said for each in facts for said in _record_advice(each, inputs)]
-    advice += steps_told(records, inputs) + _twin_advice(records, (*inputs, *outputs))
+    advice += steps_told(records, inputs) + twins_told(records)
     advice += _excitation_advice(facts, inputs, still(records, (*inputs, *outputs)))
     advice += _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
@@ -356,17 +356,6 @@ def _noise_share(facts: Sequence[RecordFacts], channel: int) -> float:
         seen = each.channels[channel]
         power += each.samples * np.nan_to_num([seen.noise**2, seen.deviation**2])
     return min(float(np.sqrt(power[0] / max(power[1], 1e-300))), 1.0)
-
-
-def _twin_advice(records: Sequence[Record], names: Sequence[str]) -> list[str]:
-    """One line for channels that are one signal."""
-    x = np.vstack([np.hstack([record.u, record.y]) for record in records])
-    return [
-        f"{names[i]} and {names[j]} are the same samples: one column read twice?"
-        for i in range(len(names))
-        for j in range(i)
-        if np.ptp(np.nan_to_num(x[:, i])) > 0 and np.array_equal(x[:, i], x[:, j], equal_nan=True)
-    ]
 
 
 def _correlation_advice(correlation: Array, inputs: Sequence[str]) -> list[str]:

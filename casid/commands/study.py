@@ -1,5 +1,6 @@
 """Commands about studies: identify, bounds, check."""
 
+import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +18,7 @@ from rich.text import Text
 
 from casid.bounds.compare import BoundsComparison
 from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
-from casid.commands.terminal import caution, exits, logged, new_table
+from casid.commands.terminal import BAD_INPUT, caution, exits, logged, new_table
 from casid.errors import DataWarning
 from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
@@ -25,7 +26,7 @@ from casid.frequency.estimation import SpectralAnalysis
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.record import Record
-from casid.records import steps_told, units_told
+from casid.records import steps_told, twins_told, units_told
 from casid.repeats import repeats_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
@@ -156,13 +157,16 @@ def check(
     Of a model (models/six_dof.py:SixDof) this prints the matrices with names and with numbers at
     the guess, the parameters, the eigenvalues, what the outputs do not see, and which parameters
     the excitation cannot tell apart: one 3-2-1-1 a control, or the records given.
+
+    Of a study it ends in "The study is in order.", or in what to mend first and in exit code 2.
     """
     with exits() as console, logged(console, verbose):
         if what.endswith(".toml"):
             refuse_beside_study(
                 record=flights, unit=units, column=renamed, time=time != TIME_COLUMN, fixed=fixed
             )
-            _describe(console, read_study(Path(what)))
+            if not _in_order(console, read_study(Path(what))):
+                sys.exit(BAD_INPUT)
         else:
             if not flights and (units or renamed or time != TIME_COLUMN):
                 raise ValueError("--unit, --column and --time are of records: add --record RECORD")
@@ -290,7 +294,8 @@ def case_table(comparison: BoundsComparison) -> Table:
     return table
 
 
-def _describe(console: Console, study: Study) -> None:
+def _in_order(console: Console, study: Study) -> bool:
+    """Print what there is to say of a study and its records; whether nothing is to be mended."""
     structure = type(study.model)
     free = len(structure.parameter_names()) - len(study.fixed)
     console.print(Text(f"{study.title}: structure {structure.__name__}, {free} free parameters"))
@@ -311,13 +316,15 @@ def _describe(console: Console, study: Study) -> None:
     every = (each for records in flights.values() for each in records)
     rest = {d: each for each in every if (d := digest(each.u, each.y)) not in own}
     units = units_told(list(rest.values()))  # of the others it is a warning
-    for said in (*again.told(), *steps, *units, *unread, *untold, *_idle(study)):
+    twins = twins_told(estimated)
+    for said in (*again.told(), *twins, *steps, *units, *unread, *untold, *_idle(study)):
         caution(console, said)
     held = repeats_told([*estimated, *rest.values()], study.channels.outputs)  # a warning, too
-    if again.told() or unread or units or units_told(estimated) or held:
+    if again.told() or twins or unread or units or units_told(estimated) or held:
         console.print("Mend the records first.")
-    else:
-        console.print("Mend the structure first." if untold else "The study is in order.")
+        return False
+    console.print("Mend the structure first." if untold else "The study is in order.")
+    return not untold
 
 
 def _idle(study: Study) -> tuple[str, ...]:

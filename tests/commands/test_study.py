@@ -158,9 +158,21 @@ def test_check_tells_what_the_records_cannot_tell_of_the_structure(tmp_path):
     text = file.read_text()
     idle = 'idle: Scalar = parameter(default=1.0, lower=-5.0, upper=5.0, unit="1/s")\n\n    def A('
     file.write_text(text.replace("def A(", idle, 1))
-    said = " ".join(casid("check", path).output.split())
+    result = casid("check", path)
+    assert result.exit_code == 2
+    said = " ".join(result.output.split())
     assert "no output feels idle: fix or drop" in said
-    assert "in order" not in said
+    assert said.endswith("Mend the structure first.")
+
+
+def test_check_names_channels_that_are_one_column(tmp_path):
+    twin = '[channels]\ncheck = ["p2"]\n[channels.columns]\np2 = "p"\n[channels.units]'
+    path = write_study(tmp_path, ("[channels.units]", twin), ("noise = true\n", ""))
+    result = casid("check", path)
+    said = " ".join(result.output.split())
+    assert "p2 and p are the same samples: one column read twice?" in said
+    assert said.endswith("Mend the records first.")
+    assert result.exit_code == 2
 
 
 def test_check_tells_of_noise_that_no_record_gets(tmp_path):
@@ -189,7 +201,7 @@ def test_check_of_records_in_units_unlike_is_not_in_order(tmp_path, name):
     file.write_text("\n".join([header, *map(",".join, cells)]) + "\n")
     result = casid("check", path)
     said = " ".join(result.output.split())
-    assert result.exit_code == 0
+    assert result.exit_code == 2
     assert said.count("or 'p' declared deg/s and in rad/s?") == 1
     assert said.endswith("Mend the records first.")
 
@@ -264,7 +276,7 @@ def copied(folder):
 def test_check_tells_of_a_copy_before_anything_is_computed(tmp_path):
     result = casid("check", copied(tmp_path))
     said = " ".join(result.output.split())
-    assert result.exit_code == 0
+    assert result.exit_code == 2
     assert "Record copy is for validation, but an estimation has seen it (as sweep)" in said
     assert "in order" not in said
 
