@@ -19,6 +19,7 @@ from rich.text import Text
 from casid.bounds.compare import BoundsComparison
 from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
 from casid.commands.terminal import BAD_INPUT, caution, exits, logged, new_table
+from casid.display import listed
 from casid.errors import DataWarning
 from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
@@ -31,6 +32,7 @@ from casid.repeats import repeats_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
 from casid.stages.listing import STAGES, stages_in_words, tables_of_stages
+from casid.stages.qualification import Bands
 from casid.structure.identifiability import identifiability
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
@@ -328,13 +330,20 @@ def _in_order(console: Console, study: Study) -> bool:
 
 
 def _idle(study: Study) -> tuple[str, ...]:
-    """That the study has noise which no record gets."""
-    if study.noise is None or any(each.noise for each in study.roles.values()):
-        return ()
-    return (
-        "[noise] is added to no record, only casid design reads it: write noise = true in the "
-        "[records.ROLE] of simulated records that want it.",
-    )
+    """That the study has noise which no record gets, or tolerances of no output."""
+    said = []
+    if study.noise is not None and not any(each.noise for each in study.roles.values()):
+        said.append(
+            "[noise] is added to no record, only casid design reads it: write noise = true in the "
+            "[records.ROLE] of simulated records that want it."
+        )
+    tolerances = study.settings.get("qualification", Bands()).tolerances
+    if none := [name for name in tolerances if name not in study.channels.outputs]:
+        said.append(
+            f"[qualification.tolerances] {listed(none)} judge{'s' * (len(none) == 1)} nothing: "
+            f"outputs are {', '.join(study.channels.outputs)}."
+        )
+    return tuple(said)
 
 
 def _unread(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:

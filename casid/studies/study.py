@@ -234,7 +234,7 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     learnt = without_checks(study, {"identification": done["identification"]})["identification"]
     check_plausible(learnt, tuple(every.values()), *stated, total=total)
     with placed("[pbsid]"):
-        study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
+        study.settings.get("pbsid", Pbsid()).check_lengths(learnt)
     with placed(f"{study.path}:"):
         examine_task(study.task(done))
     for record in measured.values():

@@ -13,6 +13,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
+from casid.declaration import check_pair
 from casid.files import Column
 from casid.free import free_parameters
 from casid.frequency.response import FrequencyResponse
@@ -110,6 +111,9 @@ def _model(
     limits.only(infos)
     bounds = {name: limits.pair(name, "[lower, upper]") for name in limits.content}
     fixed = table.names("fixed")
+    with placed(limits.place):
+        for name, pair in bounds.items():
+            check_pair(name, pair)
     for name, value in values.items():
         low, high = bounds.get(name, (infos[name].lower, infos[name].upper))
         if not low <= value <= high:
@@ -149,9 +153,10 @@ def _channels(table: Table, structure: type[Model]) -> ChannelSettings:
         )
     units = table.table("units")
     columns = table.table("columns")
-    hold = table.take("hold", str)
+    hold = table.content.get("hold")
     if hold not in (None, *get_args(Hold)):
-        raise ValueError(f'{table.place} hold = {hold!r}, expected "foh" or "zoh"')
+        one = ", one for all inputs" * isinstance(hold, dict)
+        raise ValueError(f'{table.place} hold = {hold!r}, expected "foh" or "zoh"{one}')
     return ChannelSettings(
         inputs=inputs,
         outputs=outputs,

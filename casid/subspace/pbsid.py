@@ -1,10 +1,9 @@
 """Predictor-based subspace identification of a black box from records, open or closed loop.
 
 Source: M. Bergamasco, M. Lovera, "Rotorcraft system identification: a time/frequency domain
-approach", section 3.2. All records are one least-squares problem over the stacked columns of all
-of them. Departures: the projections are computed exactly from the samples
-(`casid.subspace.laguerre`), a constant per record is projected out (residual trim), and the direct
-term may be masked.
+approach", section 3.2. All records are one least-squares problem. Departures: the projections are
+computed exactly from the samples (`casid.subspace.laguerre`), a constant per record is projected
+out (residual trim), and the direct term may be masked.
 """
 
 from collections.abc import Sequence
@@ -28,6 +27,7 @@ from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.candidates import Candidate, OrderSelection, Refinement
 from casid.subspace.columns import Feedthrough, Segment, check_pole
 from casid.subspace.feedback import direct_term_is_ambiguous
+from casid.subspace.poles import PASTS
 from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refining import Estimate, refine_projected, refine_sampled
 from casid.subspace.sampled import (
@@ -133,14 +133,13 @@ class Pbsid:
         check_moved(campaign.records)
         if self.transform == "none":
             return self._sampled(campaign, *self._sample_settings(campaign))
-        free = self.transform is None and self.pole is None
         try:
             projected = self._projected(campaign)
         except ValueError:
-            if not (free and are_candidates(campaign, None)):
+            if not self._may_sample(campaign):
                 raise
             return self._sampled(campaign, *self._sample_settings(campaign))
-        if not (free and are_candidates(campaign, projected.system)):
+        if not self._may_sample(campaign, projected.system):
             return projected
         return self._better(campaign, projected)
 
@@ -179,15 +178,14 @@ class Pbsid:
         chosen = self.order is None
         return refine_projected(campaign, found, pole, move=move, windows=windows, chosen=chosen)
 
-    def _better(self, campaign: Campaign, projected: BlackBox) -> BlackBox:
+    def _better(self, campaign: Campaign, own: BlackBox) -> BlackBox:
         """The black box of projections, or of samples if that predicts clearly better."""
-        own = projected
         windows = Windows(own.past, own.future, own.pole, own.regularisation)
         rival = Stretches.of(campaign).score(own.order, windows, "fourier")
         bound = CLEARLY * rival.score if rival else 1.0
         tried, best = self._sample_candidates(campaign, bound)
         if best is None or best.score > bound:
-            return projected
+            return own
         selection = self._selection(campaign, [*tried, rival] if rival else tried, best)
         return self._sampled(campaign, selection.chosen, selection)
 
@@ -267,7 +265,7 @@ class Pbsid:
         )
 
     def check_lengths(self, records: Sequence[Record]) -> None:
-        """ValueError: windows, or those that the order needs, are longer than every record."""
+        """ValueError: windows, or those that the order needs, are longer than records allow."""
         longest = max(records, key=lambda record: record.N)
         needed = -(-(self.order or 0) // longest.ny)  # samples, or Laguerre functions
         for name, length in {"past": self.past, "future": self.future, "order": needed}.items():
@@ -277,6 +275,15 @@ class Pbsid:
                     f"{name} = {value} needs a window of {length}, and the longest record, "
                     f"{longest.name!r}, has {longest.N} samples; lower it"
                 )
+        window = min(self.past or max(PASTS), self.future or longest.N)
+        if self.transform == "none" or needed <= window:
+            return
+        if not self._may_sample(Campaign.of(records, self.feedthrough)):
+            choice.refuse_order(self.order, longest.ny, window)
+
+    def _may_sample(self, campaign: Campaign, projected: StateSpace | None = None) -> bool:
+        """Whether a model of samples, with windows of its own, may take that of projections."""
+        return (self.transform or self.pole) is None and are_candidates(campaign, projected)
 
     def _windows(self, settings: Candidate, ny: int) -> Windows:
         """The windows asked for, checked."""

@@ -125,6 +125,14 @@ def choose_projections(campaign: Campaign, grid: Grid) -> OrderSelection:
     )
 
 
+def refuse_order(order: int | None, ny: int, window: int) -> None:
+    """ValueError: windows of that length hold no model of that order, of ``ny`` outputs."""
+    raise ValueError(
+        f"order = {order} is above the {window * ny} that projections with windows of {window} and "
+        f"{ny} outputs allow; lower it, or give a longer past"
+    )
+
+
 def _measured(records: Sequence[Record]) -> Sequence[Record]:
     """Those in which every output is measured at some time; all, if there are none."""
     # What is never measured is a gap from end to end: such a record gives no projections.

@@ -181,6 +181,18 @@ def test_check_tells_of_noise_that_no_record_gets(tmp_path):
     assert "[noise]" not in casid("check", write_study(tmp_path)).output
 
 
+def test_check_tells_of_tolerances_of_no_output(tmp_path):
+    path = write_study(tmp_path)
+    table = '[qualification.tolerances]\np = "10 % or 3 deg/s"\n'
+    path.write_text(f"{path.read_text()}\n{table}")
+    assert "tolerances" not in casid("check", path).output
+    path.write_text(f'{path.read_text()}q = "10 % or 3 deg/s"\n')
+    result = casid("check", path)
+    said = " ".join(result.output.split())
+    assert "[qualification.tolerances] q judges nothing: outputs are p, phi." in said
+    assert result.exit_code == 0
+
+
 @pytest.mark.slow
 def test_bounds_prints_the_cautions_of_its_identification(tmp_path):
     prior = "[output_error.priors]\nLp = [-9.0, 0.01]\n\n[bounds.cases]\nfree = []\n\n[match]"

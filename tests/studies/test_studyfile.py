@@ -41,6 +41,12 @@ def test_trim_values_guesses_and_bounds_of_the_study_reach_the_model(tmp_path):
     assert study.bounds == {"Lp": (-5.0, -1.0)}
 
 
+def test_bounds_the_wrong_way_round_are_told_as_that_beside_a_guess_between_them(tmp_path):
+    own = "[model.values]\nLp = -3\n[model.bounds]\nLp = [-1, -5]\n[channels"
+    with pytest.raises(ModelError, match=r"\[bounds\]: Lp: lower bound -1.0 > upper .*; swap or"):
+        read_study(write_study(tmp_path, ("[channels", own)))
+
+
 def test_two_model_files_of_one_name_are_two_models(tmp_path):
     for folder, guess in (("one", "-1.5"), ("two", "-2.5")):
         (tmp_path / folder).mkdir()

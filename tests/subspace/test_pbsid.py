@@ -156,6 +156,22 @@ def test_impossible_settings_are_refused(options, message):
         pbsid(campaign(duration=4.0), **options)
 
 
+@pytest.mark.parametrize(
+    ("asked", "most"),
+    [({"pole": 6.0}, 12), ({"transform": "laguerre"}, 12), ({}, 12), ({"past": 9, "pole": 6.0}, 9)],
+)
+def test_an_order_that_no_window_allows_is_refused_by_name_before_any_fit(asked, most):
+    flown = campaign()  # sampled much faster than its input moves
+    ny = flown[0].ny
+    Pbsid(order=most * ny, **asked).check_lengths(flown)
+    above = Pbsid(order=most * ny + 1, **asked)
+    with pytest.raises(ValueError, match=rf"order = {most * ny + 1} is above the {most * ny} "):
+        above.check_lengths(flown)
+    with pytest.raises(ValueError, match="order"):
+        above.fit(flown)
+    Pbsid(order=most * ny + 1, transform="none").check_lengths(flown)
+
+
 def test_a_record_shorter_than_the_kernels_is_refused_by_name():
     with pytest.raises(ValueError, match=r"record 'r0' is too short.*raise the pole"):
         pbsid(campaign(records=1, duration=2.0), order=5, past=10, pole=6.0)

@@ -254,6 +254,7 @@ bad("a unit that is a number", study('lat = "%"', "lat = 3"), "lat = 3", "expect
 bad("a channel that is the time", within("channels", 'time = "lat"'), "'lat' is the time",
     "name another column")  # fmt: skip
 bad("an unknown hold", within("channels", 'hold = "soh"'), "'soh'", '"foh" or "zoh"')
+bad("a hold of one input", within("channels", 'hold = {lat = "zoh"}'), "'zoh'", "for all inputs")
 bad("inputs of another model", within("channels", 'inputs = ["lon"]'), "inputs are lon",
     "leave the key out")  # fmt: skip
 bad("a trim from nowhere", study('detrend = "identification"', 'detrend = "frequency"'),
