@@ -197,7 +197,7 @@ def _complete(
 ) -> tuple[Array, Array, Array]:
     """Samples at which all inputs are known, those of slower inputs filled in as they are held."""
     lost = np.isnan(u).mean(axis=0)
-    if not lost.any() or len(t) < FEWEST or not (np.diff(t) > 0).all():
+    if not lost.any() or len(t) < FEWEST or not (np.diff(t) >= 0).all():
         return t, u, y
     u, known = known_inputs(t, u, [hold] * u.shape[1])
     if known.sum() < FEWEST:

@@ -30,8 +30,8 @@ class Record(Shown):
     Parameters
     ----------
     t : (N,) array
-        Instants [s], strictly increasing, not necessarily equidistant. Of samples closer together
-        than 5 % of the usual interval one is kept, with a `DataWarning`.
+        Instants [s], increasing, not necessarily equidistant. Of samples closer together than 5 %
+        of the usual interval, or at one instant, the first is kept, with a `DataWarning`.
     u : (N, nu) array
         Inputs, finite.
     y : (N, ny) array

@@ -26,6 +26,7 @@ MAD = 1.482602218505602  # standard deviation of a normal distribution over its 
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 SLOWER = 1.5  # intervals that are longer by this factor need a filter first
 CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
+UNLIKE = 0.05  # of the samples, at most, that have an instant of the one before and other values
 ABRUPT = 10.0  # times the moves before and after it: a move that is a jump
 STEPS = 0.9  # of an input's moves, squared, that are jumps: it moves in steps
 BURST = 5  # outliers that make a run, and samples from one to the next there
@@ -245,7 +246,7 @@ def check_samples(
     every = (*names[0], *names[1])
     if twice := [name for name in every if every.count(name) > 1]:
         raise ValueError(f"record {record!r}: channel {twice[0]!r} is named twice")
-    _check_time(record, t)
+    _check_time(record, t, np.hstack([u, y]))
     _check_values(record, u, y, names)
 
 
@@ -275,8 +276,8 @@ def tidied(
         named = ", ".join(map(str, rows[:5])) + " ..." * (len(rows) > 5)
         warn(
             f"record {record!r}: {len(rows)} of {len(t)} samples follow the one before within "
-            f"{CLOSE:.0%} of the usual interval of {np.median(np.diff(t)):.3g} s and are left out "
-            f"(rows {named}, the first at {t[rows[0]]:.6g} s); look at the clocks of the log"
+            f"{CLOSE:.0%} of the usual interval of {_median_step(t):.3g} s and are left out (rows "
+            f"{named}, the first at {stamp(t, rows[0])} s); look at the clocks of the log"
         )
         t, u, y = merged(t, u, y, close)
     angles = [i for i, name in enumerate(outputs) if UNITS.get(name, "rad") == "rad"]  # maybe
@@ -294,13 +295,27 @@ def tidied(
 
 def close_together(t: Array) -> BoolArray:
     """Samples (N,) that follow the last one kept at hardly any distance."""
-    least = CLOSE * float(np.median(np.diff(t)))
+    least = CLOSE * _median_step(t)
     close = np.zeros(len(t), dtype=bool)
     last = t[0]
     for k in range(1, len(t)) if (np.diff(t) < least).any() else ():
         close[k] = t[k] - last < least
         last = last if close[k] else t[k]
     return close
+
+
+def _median_step(t: Array) -> float:
+    """The median interval of instants (N,) that are apart."""
+    steps = np.diff(t)
+    return float(np.median(steps[steps > 0]))
+
+
+def stamp(t: Array, k: int) -> str:
+    """One of the instants (N,) [s], with the digits that tell it from its neighbours."""
+    steps = np.diff(t)
+    finest = float(np.min(steps[steps > 0], initial=1.0))
+    digits = np.ceil(np.log10(max(np.abs(t[k]) / finest, 1.0))) + 2
+    return f"{t[k]:.{int(np.clip(digits, 6, 17))}g}"
 
 
 def merged(t: Array, u: Array, y: Array, close: BoolArray) -> tuple[Array, Array, Array]:
@@ -312,13 +327,21 @@ def merged(t: Array, u: Array, y: Array, close: BoolArray) -> tuple[Array, Array
     return t[~close], u[~close], y[~close]
 
 
-def _check_time(record: str, t: Array) -> None:
+def _check_time(record: str, t: Array, values: Array) -> None:
+    """Refuse time that is none, goes back, or stands still for samples with other values."""
     if not np.isfinite(t).all():
         k = int(np.flatnonzero(~np.isfinite(t))[0])
         raise ValueError(f"record {record!r}: t[{k}] = {t[k]}; time must be finite")
-    if (back := np.flatnonzero(np.diff(t) <= 0)).size:
+    steps, known = np.diff(t), np.isfinite(values)
+    moves, differ = bool((steps > 0).any()), known[1:] & known[:-1] & (values[1:] != values[:-1])
+    stands = (steps == 0) & (differ.any(axis=1) | (not moves))
+    if few := stands.sum() <= UNLIKE * len(t) and moves:
+        stands[:] = False  # the first is kept, as of samples close together (`tidied`)
+    if (back := np.flatnonzero((steps < 0) | stands)).size:
         k = int(back[0]) + 1
         again = "sort the samples and drop repeated ones"
+        if not few:
+            again += f", or write time with more digits if it is rounded ({stands.sum()} samples)"
         parts = np.diff([0, *(back + 1), len(t)])
         # Samples out of order are passed by soon after; a second flight lasts, or goes over again.
         if parts.min() >= LASTING and (t[back + 1 + LASTING // 2] < t[back]).all():
@@ -329,7 +352,7 @@ def _check_time(record: str, t: Array) -> None:
             )
         raise ValueError(
             f"record {record!r}: time does not increase at sample {k} "
-            f"({t[k - 1]:g} s, then {t[k]:g} s); {again}"
+            f"({stamp(t, k - 1)} s, then {stamp(t, k)} s); {again}"
         )
 
 

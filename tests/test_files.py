@@ -233,3 +233,15 @@ def test_names_of_channels_are_read_back_or_refused(tmp_path):
     np.testing.assert_array_equal(read_csv(tmp_path / "a.csv", **names).y, record.y)
     with pytest.raises(ValueError, match="' p' begins or ends with a blank"):
         write_csv(tmp_path / "b.csv", replace(record, outputs=(" p",)))
+
+
+def test_a_log_with_a_row_a_message_is_read_as_one_sample_an_instant(tmp_path):
+    t = 1780358400 + 0.5 * np.arange(40)
+    lines = [f"{a:.3f},{k},\n{a:.3f},,{k + 0.5}" for k, a in enumerate(t)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,lat,p", *lines]))
+    with pytest.warns(DataWarning) as told:
+        found = read_csv(tmp_path / "log.csv", inputs=["lat"], outputs=["p"])
+    assert any("40 of 80 samples follow the one before" in str(each.message) for each in told)
+    np.testing.assert_array_equal(found.t, t)
+    np.testing.assert_array_equal(found.u[:, 0], np.arange(40))
+    np.testing.assert_array_equal(found.y[:, 0], np.arange(40) + 0.5)

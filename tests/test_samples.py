@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
+from casid import Record
 from casid.errors import DataWarning
 from casid.samples import (
     _begun,
@@ -131,6 +132,46 @@ def test_runs_are_what_follows_closely_and_single_ones_are_none():
     assert bursts((), 0.02) == []
 
 
+@pytest.mark.parametrize("begins", [0.0, 1780358400.0])
+@pytest.mark.parametrize("times", [np.repeat([1, 2], [200, 100]), 2, 3])
+def test_rows_written_twice_are_the_record_without_them(begins, times):
+    t = begins + 0.01 * np.arange(300)
+    x = np.sin(3 * (t - begins))[:, None]
+    rows = np.repeat(np.arange(300), times)
+    told = rf"{len(rows) - 300} of {len(rows)} samples follow the one before"
+    with pytest.warns(DataWarning, match=told):
+        found = Record(t[rows], x[rows], x[rows], ("lat",), ("p",), "twice")
+    np.testing.assert_array_equal(found.t, t)
+    np.testing.assert_array_equal(found.y, x)
+
+
+def test_rows_of_several_sensors_at_one_instant_are_one_sample():
+    t = np.repeat(0.01 * np.arange(100), 3)
+    y = np.full((300, 3), np.nan)
+    for i in range(3):
+        y[i::3, i] = np.arange(100) + i
+    with pytest.warns(DataWarning, match="200 of 300 samples"):
+        found = Record(t, np.zeros((300, 0)), y, (), ("p", "q", "r"))
+    np.testing.assert_array_equal(found.y, np.arange(100)[:, None] + [0, 1, 2])
+
+
+def test_of_a_few_samples_at_one_instant_the_first_is_kept_and_of_many_time_is_doubted():
+    t, x = 0.01 * np.arange(200), np.sin(0.1 * np.arange(200))[:, None]
+    few = t.copy()
+    few[50::50] = t[49::50][:3]
+    with pytest.warns(
+        DataWarning, match=r"3 of 200 samples .*rows 50, 100, 150, the first at 0.49 s"
+    ):
+        found = Record(few, x, x, ("lat",), ("p",))
+    np.testing.assert_array_equal(found.y, np.delete(x, [50, 100, 150], axis=0))
+    with pytest.raises(
+        ValueError, match=r"sample 1 \(1780358400.5 s, then 1780358400.5 s\).*100 s"
+    ):
+        Record(1780358400.5 + np.floor(t / 0.02) * 0.02, x, x, ("lat",), ("p",))
+    with pytest.raises(ValueError, match="time does not increase at sample 1"):
+        Record(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 1)), ("lat",), ("p",))
+
+
 def test_time_that_goes_back_is_told_as_a_second_flight_or_as_samples_out_of_order():
     t, known = 0.02 * np.arange(200), (("lat",), ("p",))
     swapped = t.copy()
@@ -143,9 +184,9 @@ def test_time_that_goes_back_is_told_as_a_second_flight_or_as_samples_out_of_ord
         (restarted, "a second flight"),
         (thrice, "cut the file there, and at 1 places more"),
         (swapped, "sort the samples"),
-        (doubled, "sort the samples and drop repeated"),
+        (doubled, r"or write time with more digits if it is rounded \(200 samples\)"),
         (t[::-1], "sort the samples"),
     ):
-        x = np.sin(times)[:, None]
+        x = np.sin(np.arange(len(times)))[:, None]
         with pytest.raises(ValueError, match=f"time does not increase at sample .*{told}"):
             check_samples("flight", times, x, x, known)
