@@ -305,7 +305,7 @@ def _in_order(console: Console, study: Study) -> bool:
     flights, again = read_flights(study)
     for role, records in flights.items():
         for record in records:
-            numbers = (str(record.N), f"{record.duration:g}", f"{record.dt:g}")
+            numbers = (str(record.N), f"{record.duration:g}", f"{record.dt:.5g}")
             table.add_row(Text(record.name), role, *numbers)
     console.print(table)
     flown = flights.get("refinement", flights["identification"])

@@ -173,12 +173,13 @@ def _history(found: Validation, k: int, names: Sequence[str], units: Mapping[str
     heights = [0.46] * record.nu + [0.84] * len(names)
     figure = Figure(figsize=(WIDTH, 0.7 + sum(heights)))
     axes = stacked(figure, heights)
-    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
+    t, axis = figures.elapsed(record.t)
+    axes[-1, 0].set(xlabel=axis, xlim=(t[0], t[-1]))
     _inputs(list(axes[: record.nu, 0]), record, units)
     for ax, channel in zip(axes[record.nu :, 0], names, strict=True):
         i = record.outputs.index(channel)
         simulated = {name: y[k][:, i] for name, y in found.simulated.items()}
-        figures.plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=units)
+        figures.plot_history(ax, t, record.y[:, i], simulated, channel=channel, units=units)
     for ax in axes[:, 0]:
         ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
     legend_above(figure, axes[-1, 0])
@@ -193,10 +194,10 @@ def _ahead(validation: Validation, k: int) -> str:
 
 def _inputs(axes: Sequence[Axes], record: Record, units: Mapping[str, str]) -> None:
     """Every input; one that rests is a straight line, whatever its last digits do."""
-    largest = float(np.ptp(record.u, axis=0).max())
+    largest, t = float(np.ptp(record.u, axis=0).max()), figures.elapsed(record.t)[0]
     for ax, channel in zip(axes, record.inputs, strict=True):
         u = record.channel(channel)
-        figures.plot_input(ax, record.t, u, channel=channel, units=units)
+        figures.plot_input(ax, t, u, channel=channel, units=units)
         ax.set_ylim(_span([u], least=0.2 * largest or 1.0))
         ax.yaxis.label.set_fontsize(6)
 
@@ -215,14 +216,15 @@ def _qualification(found: Qualification, k: int, units: Mapping[str, str]) -> Fi
     record = found.validation.measured[k]
     figure = Figure(figsize=(WIDTH, 0.7 + 1.0 * len(found.outputs)))
     axes = stacked(figure, [1.0] * len(found.outputs))
+    t, axis = figures.elapsed(record.t)
     for j, (ax, name) in enumerate(zip(axes[:, 0], found.outputs, strict=True)):
         i, half = record.outputs.index(name), found.width[k][:, j]
         y = {found.model: found.validation.simulated[found.model][k][:, i]}
         low, high = record.y[:, i] - half, record.y[:, i] + half
         look: dict[str, Any] = {"color": "#000000", "alpha": 0.12, "linewidth": 0}
-        ax.fill_between(record.t, low, high, label="tolerance", **look)
-        figures.plot_history(ax, record.t, record.y[:, i], y, channel=name, units=units)
-    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
+        ax.fill_between(t, low, high, label="tolerance", **look)
+        figures.plot_history(ax, t, record.y[:, i], y, channel=name, units=units)
+    axes[-1, 0].set(xlabel=axis, xlim=(t[0], t[-1]))
     legend_above(figure, axes[-1, 0])
     return place_axes(figure, axes)
 

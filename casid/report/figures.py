@@ -37,6 +37,7 @@ STYLES: Mapping[str, dict[str, Any]] = {
     CHOSEN: {"color": "#CC79A7", "linestyle": DASH_DOT_DOT, "linewidth": 1.6},
 }
 LONG = 200.0  # ratio of frequencies
+BEFORE = 1000.0  # durations of a record that a clock began before it, and ticks still show all
 HATCHES = ("", "///", "...", "xxx", "\\\\\\")
 
 
@@ -242,6 +243,16 @@ def joined_samples(t: Array, x: Array) -> Array:
     if len(own) < 4 or usual_interval(own) < SLOWER * usual_interval(t):
         return x
     return at_instants(t, x, t, "foh")
+
+
+def elapsed(t: Array) -> tuple[Array, str]:
+    """Instants (N,) as a figure shows them, [s], with the words of the axis.
+
+    From the first on where a clock began so long before, as in 1970, that its digits hide them.
+    """
+    if abs(t[0]) <= BEFORE * (t[-1] - t[0]):
+        return t, "t [s]"
+    return t - t[0], "t from start [s]"
 
 
 def plot_input(

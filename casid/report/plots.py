@@ -121,10 +121,11 @@ def _draw(value: object, ax: Any) -> Any:  # noqa: ANN401, ARG001
 def _(value: Record, ax: Any, channels: Sequence[str] = ()) -> Any:  # noqa: ANN401
     names = known(channels, (*value.inputs, *value.outputs))
     axes = new_axes(ax, len(names), 1, height=0.9)
+    t, axis = figures.elapsed(value.t)
     for each, name in zip(axes, names, strict=True):
         own = UNITS | dict(value.units)
-        figures.plot_input(each, value.t, value.channel(name), channel=name, units=own)
-    axes[-1].set_xlabel("t [s]")
+        figures.plot_input(each, t, value.channel(name), channel=name, units=own)
+    axes[-1].set_xlabel(axis)
     return as_given(ax, axes)
 
 
@@ -373,14 +374,15 @@ def _histories(
     axes = new_axes(ax, len(names), len(found.records), height=1.2)
     grid = axes.reshape(len(names), len(found.records))
     for k, record in enumerate(found.measured):
+        t, axis = figures.elapsed(record.t)
         for each, name in zip(grid[:, k], names, strict=True):
             i = record.outputs.index(name)
             drawn = {model: y[k][:, i] for model, y in found.simulated.items()}
-            figures.plot_history(each, record.t, record.y[:, i], drawn, channel=name, units=units)
+            figures.plot_history(each, t, record.y[:, i], drawn, channel=name, units=units)
             good = [f"{model} {found.fit[model][k, i]:.3g} %" for model in drawn]
             each.legend(["measured", *good], **ABOVE, ncols=len(good) + 1)
         grid[0, k].set_title(record.name, loc="left")
-        grid[-1, k].set_xlabel("t [s]")
+        grid[-1, k].set_xlabel(axis)
     return as_given(ax, axes)
 
 

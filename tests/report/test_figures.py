@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from truths.structures import SECOND, Lag, black_box
@@ -22,7 +23,7 @@ from casid.report import (
     plot_phase,
     plot_rms,
 )
-from casid.report.figures import STYLES, decibel, input_pairs, output_groups, phase, style
+from casid.report.figures import STYLES, decibel, elapsed, input_pairs, output_groups, phase, style
 from casid.report.prices import COLOURS
 
 MODELS = (BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE)
@@ -62,6 +63,19 @@ def test_a_history_keeps_the_gap_of_missing_samples():
     assert plot_history(ax, t, y, {OUTPUT_ERROR: y}, channel="q") is ax
     assert np.isnan(ax.lines[0].get_ydata()[1])
     assert ax.get_ylabel() == "q [rad/s]"
+
+
+@pytest.mark.parametrize("duration", [8.0, 60.0, 900.0])
+@pytest.mark.parametrize("begins", [0.0, -3.0, 131.4, 4000.2, 20000.3, 1780358400.5])
+def test_no_instant_of_a_history_hides_in_the_corner_of_its_axis(begins, duration):
+    t, axis = elapsed(begins + np.linspace(0, duration, 400))
+    figure = Figure(figsize=(6, 2))
+    (ax,) = figure.subplots(1, 1, squeeze=False)[0]
+    ax.plot(t, t)
+    FigureCanvasAgg(figure).draw()
+    assert ax.xaxis.get_offset_text().get_text() == ""  # what matplotlib takes out of all ticks
+    assert (axis == "t [s]") == (t[0] == begins)
+    assert t[-1] - t[0] == pytest.approx(duration)
 
 
 def test_a_slower_channel_is_drawn_between_its_own_samples_and_stops_where_they_are_lost():

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -164,3 +165,13 @@ def test_scores_and_singular_values_have_axes_of_their_own():
     assert scores.get_position().y0 == singular.get_position().y0
     assert not scores.get_shared_x_axes().joined(scores, singular)
     assert (scores.get_xlabel(), singular.get_xlabel()) == ("order [-]", "index [-]")
+
+
+def test_histories_of_a_clock_since_1970_are_drawn_from_their_start():
+    flown = replace(record(), t=record().t + 1780358400.0)
+    for drawn in (flown.plot(), compare({"guess": Roll()}, flown)):
+        axes = np.atleast_1d(drawn)
+        assert axes.flat[-1].get_xlabel() == "t from start [s]"
+        for ax in axes.flat:
+            np.testing.assert_allclose(ax.lines[0].get_xdata(), record().t, atol=1e-6)
+        plt.close("all")

@@ -199,7 +199,13 @@ bad("denormal numbers", column(2, "5e-324"), "channel 'p'", "leave the channel o
 bad("infinity in an input", cell(99, 1, "inf"), "input 'lat' is inf at sample 98", "repair")
 bad("an input without samples", column(1, "nan", ALL), "input 'lat' is missing nearly everywhere", "Record.join")  # noqa: E501  # fmt: skip
 bad("time in ms", column(0, scaled(1000), ALL), "time column 't'", 't = "ms"')
-bad("time that stands", cell(99, 0, "3.88"), "does not increase at sample 98", "drop repeated")
+bad("time that stands", column(0, "3.88"), "does not increase at sample 1", "drop repeated")
+bad(
+    "time in whole seconds",
+    column(0, lambda t: t.split(".")[0]),
+    "time does not increase",
+    "more digits",
+)
 bad("time backwards", cells(lambda rows: [rows[0], *rows[:0:-1]]), "does not increase", "sort")
 bad("a gap in time", cell(99, 0, ""), "t[98] = nan", "time must be finite")
 bad("angles in degrees", column(3, scaled(3000)), "'phi'", 'phi = "deg"')
