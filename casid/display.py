@@ -99,9 +99,14 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + more
 
 
+def instant(t: float) -> str:
+    """An instant [s] in words: four digits, of a clock that began long before hundredths."""
+    return f"{t:.4g}" if abs(t) < 1e4 else f"{t:.2f}".rstrip("0").rstrip(".")
+
+
 def in_a_row(runs: Sequence[tuple[float, float, int]]) -> str:
     """Runs, each by its first and last instant [s] and how many there are, in words if any."""
-    said = [f"{n} from {start:.4g} to {end:.4g} s" for start, end, n in runs]
+    said = [f"{n} from {instant(start)} to {instant(end)} s" for start, end, n in runs]
     return f"; in a row {listed(said, 3)}" if said else ""
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.channels import FORCES, RATES
-from casid.display import Shown
+from casid.display import Shown, instant
 from casid.errors import DataWarning
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
@@ -127,7 +127,7 @@ class Excitation(Shown):
     def doubts(self) -> tuple[str, ...]:
         """Why a model from these inputs may be one of the controller; empty where it is not."""
         said = [
-            f"{name}: at {start:.4g}-{end:.4g} s inputs move and all outputs rest. "
+            f"{name}: at {instant(start)}-{instant(end)} s inputs move and all outputs rest. "
             "Nothing flies there; cut it off."
             for name, start, end in self.unanswered
         ]

@@ -19,6 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
+from casid.display import instant
 from casid.record import Record
 from casid.repetition import ROUNDING, quantised
 from casid.samples import runs
@@ -51,13 +52,13 @@ class Frozen:
 
     def told(self) -> str:
         """What it is, and what to do."""
-        when = f"from {self.start:.4g} s for {self.duration:.3g} s"
+        when = f"from {instant(self.start)} s for {self.duration:.3g} s"
         stands = "stand" if " " in self.channel else "stands"
         what = f"{self.channel} {stands} still {when} while all else moves"
         if self.zero:
             what = f"{self.channel} are zero {when}, all at once: their source was lost"
         if self.source is not None:
-            what = f"{self.channel} repeats {when} exactly what it was at {self.source:.4g} s"
+            what = f"{self.channel} repeats {when} exactly what it was at {instant(self.source)} s"
         if self.lost == "output":
             return f"{what}: it was not measured; mark these samples as missing (Record.mask)"
         if self.lost == "rows":

@@ -304,8 +304,8 @@ class Record(Shown):
         keep = (self.t >= start) & (self.t <= end)
         if (n := int(keep.sum())) < 2:
             raise ValueError(
-                f"record {self.name!r} has {n} sample{'s' * (n != 1)} between {start:g} s and "
-                f"{end:g} s; it lasts from {self.t[0]:g} s to {self.t[-1]:g} s"
+                f"record {self.name!r} has {n} sample{'s' * (n != 1)} between {start:.12g} s and "
+                f"{end:.12g} s; it lasts from {self.t[0]:.12g} s to {self.t[-1]:.12g} s"
             )
         return self.take(keep)
 

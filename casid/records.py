@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.display import listed
+from casid.display import instant, listed
 from casid.errors import warn
 from casid.record import FEWEST, Hold, Record
 from casid.samples import jumps, known_mean
@@ -156,7 +156,7 @@ def _pieces(record: Record) -> tuple[Record, ...]:
     lost = record.N - sum(piece.N for piece in pieces)
     said = (
         f"record {record.name!r} has {len(gaps)} gap{'s' * (len(gaps) > 1)} in time, the longest "
-        f"of {wide.max():.3g} s after {record.t[gaps[np.argmax(wide)]]:.4g} s"
+        f"of {wide.max():.3g} s after {instant(record.t[gaps[np.argmax(wide)]])} s"
     )
     if not pieces:
         raise ValueError(f"{said}, and no stretch of {FEWEST} samples between them; leave it out")

@@ -9,7 +9,7 @@ import pytest
 from truths.shown import record, values
 
 from casid import CampaignProgress, Progress, ProgressLine
-from casid.display import counted, digits_beside_one, listed
+from casid.display import counted, digits_beside_one, in_a_row, instant, listed
 
 
 @pytest.mark.parametrize("name", list(values()))
@@ -59,6 +59,21 @@ def test_a_number_beside_one_shows_its_side(value, text):
 def test_nouns_follow_their_numbers():
     assert [counted(n, "gap") for n in (0, 1, 2)] == ["0 gaps", "1 gap", "2 gaps"]
     assert counted(2, "axis", "axes") == "2 axes"
+
+
+@pytest.mark.parametrize(
+    ("t", "said"),
+    [
+        (0.0, "0"),
+        (-0.5, "-0.5"),
+        (131.4571, "131.5"),
+        (20000.0, "20000"),
+        (1780358573.447, "1780358573.45"),
+    ],
+)
+def test_instants_of_a_clock_since_1970_are_told_apart_in_words(t, said):
+    assert instant(t) == said
+    assert in_a_row([(t, t, 5)]) == f"; in a row 5 from {said} to {said} s"
 
 
 def test_progress_is_a_line_of_iterations_and_lines_of_what_has_ended():

@@ -11,7 +11,7 @@ from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.measured import strays, white_noise
 from casid.consistency.plausibility import unit_doubts
-from casid.display import Cells, Shown, counted, in_a_row, listed
+from casid.display import Cells, Shown, counted, in_a_row, instant, listed
 from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
@@ -282,10 +282,10 @@ def unit_advice(records: Sequence[Record], time: str, stated: Collection[str]) -
 def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
     said = []
     if facts.gaps:
-        at, length = max(facts.gaps, key=lambda gap: gap[1])
+        start, length = max(facts.gaps, key=lambda gap: gap[1])
         said.append(
             f"{facts.name}: {counted(len(facts.gaps), 'gap')} in time, the longest of "
-            f"{length:.3g} s at {at:.4g} s; split the record at long ones (Record.cut)"
+            f"{length:.3g} s at {instant(start)} s; split the record at long ones (Record.cut)"
         )
     if facts.quiet < REST:
         said.append(
@@ -298,9 +298,10 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
             stick = channel.name in inputs
             said.append(saturated(facts.name, channel.name, channel.clipped, stick=stick))
         if n := len(channel.outliers):
+            rows = bursts(channel.outliers, facts.interval)
             said.append(
                 f"{facts.name}: {channel.name} has {n} outlier{'s' * (n > 1)}, the first at "
-                f"{channel.outliers[0]:.4g} s{in_a_row(bursts(channel.outliers, facts.interval))}; "
+                f"{instant(channel.outliers[0])} s{in_a_row(rows)}; "
                 "mark as missing what no instrument measures (Record.mask)"
             )
         if channel.source:

@@ -39,7 +39,7 @@ from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY, NEEDED, WHOLE
 from casid.consistency.signs import set_upright
 from casid.consistency.voting import mean, significant
-from casid.display import Shown, counted, in_a_row, listed
+from casid.display import Shown, counted, in_a_row, instant, listed
 from casid.record import Record
 from casid.records import Records, several
 from casid.samples import bursts
@@ -272,7 +272,7 @@ def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:
             rows = [row for t, piece in zip(at, pieces, strict=True) for row in bursts(t, piece.dt)]
             notes.append(
                 f"{name} has {counted(count, 'outlier')}, left out here; the first at "
-                f"{first:.4g} s{in_a_row(rows)}"
+                f"{instant(first)} s{in_a_row(rows)}"
             )
     return notes
 

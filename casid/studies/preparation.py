@@ -146,8 +146,8 @@ def _tell_beyond(record: Record, end: float) -> None:
     last = float(record.t[-1])
     if last + record.dt < end < np.inf:
         warn(
-            f"record {record.name!r} lasts from {record.t[0]:g} to {last:g} s: its cut ends at "
-            f"{end:g} s, beyond it; mend the cut, or write inf for as far as records go"
+            f"record {record.name!r} lasts from {record.t[0]:.12g} to {last:.12g} s: its cut ends "
+            f"at {end:.12g} s, beyond it; mend the cut, or write inf for as far as records go"
         )
 
 

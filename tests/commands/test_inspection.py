@@ -124,6 +124,17 @@ def test_what_is_in_the_way_is_said_with_the_culprit(damage, words):
         assert word in said
 
 
+def test_instants_of_records_since_1970_are_told_apart():
+    record = swept(t=1780358400.0 + STEP * np.arange(1500) + 5.0 * (np.arange(1500) >= 600))
+    y = record.y.copy()
+    y[300, 0] += 200
+    said = " | ".join(inspect_records(replace(record, y=y)).advice)
+    assert "the longest of 5.02 s at 1780358411.98 s" in said
+    assert "p has 1 outlier, the first at 1780358406 s" in said
+    with pytest.raises(ValueError, match=r"between 1780358300 s .* from 1780358400 s to 17803584"):
+        record.cut(1780358300.0, 1780358390.0)
+
+
 def test_a_slower_channel_misses_nothing_but_what_its_own_rate_promises():
     record = swept()
     slow = record.y.copy()
