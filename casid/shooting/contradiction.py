@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from casid.arrays import Array
 from casid.display import listed
 from casid.errors import warn
+from casid.record import Record
 from casid.shooting import uncertainty
 from casid.shooting.agreement import APART, MOST, Source
 from casid.shooting.delays import on_breaks
@@ -27,6 +28,8 @@ from casid.shooting.whiteness import whitened
 
 FAR = 2.0  # errors by noise alone that an estimate moves without the record: that is told
 MORE = 2.0  # times the variance of scores that residuals show which are not white
+ALIKE = 0.9  # cosine of the inputs' sizes in two records that move them alike
+RATIO, SAME = 1.2, 1.05  # of two amplitudes that differ, of those that do not
 GONE = 1e-10  # of the largest variance, or information, in units of their sizes: none
 
 OPPOSED = "output error: records contradict each other"  # how what is told of it begins
@@ -53,12 +56,17 @@ def warn_of_contradiction(programme: Programme, x: Array) -> None:
     found = contradiction(P, whitened(programme, x), slopes(programme, x, follow))
     if found is None:
         return
+    tell(found, layout.records, free.names)
+
+
+def tell(found: Discord, flown: Sequence[Record], of: Sequence[str]) -> None:
+    """Tell of records that contradict the others, if that moves what is estimated ``of`` them."""
     # Of scattered records standard errors may be so large that they hide the one at fault.
     off, unit = found.off, np.where(found.noise > 0, found.noise, np.inf)
     moves = np.where(np.abs(off.apart) > APART, off.step / unit, 0.0)
     if np.abs(moves).max() > FAR:
-        names = [record.name or f"record {k}" for k, record in enumerate(layout.records, 1)]
-        warn(_told(found, names, free.names, moves))
+        names = [record.name or f"record {k}" for k, record in enumerate(flown, 1)]
+        warn(_told(found, names, of, moves) + _advice(found, flown, names))
 
 
 def contradiction(P: Array, residuals: Sequence[Array], along: Slopes) -> Discord | None:
@@ -169,6 +177,9 @@ def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array)
     moved = listed([f"{of[k]} by {moves[k]:+.2g}" for k in far])
     if len(names) == 2:
         who, without = f"{blamed[0]} and {blamed[1]}", f"of {blamed[1]} alone"
+    elif found.any is None:
+        who = f"{blamed[0]} most, and the others too, whichever few are left out"
+        without = f"without {blamed[0]}"
     elif found.any:
         who = f"one of {listed(blamed)} and the others, which agree without any one of them"
         without = f"without {blamed[0]}"
@@ -178,7 +189,40 @@ def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array)
         f"{OPPOSED}: {who} (chi-square of {off.square:.0f} in {off.freedom} combinations of "
         f"parameters, where chance hardly exceeds {chdtri(off.freedom, SELDOM / len(names)):.0f}"
         f"). Estimates {without} are elsewhere, in errors that noise alone would make {moved}; "
+    )
+
+
+def _advice(found: Discord, flown: Sequence[Record], names: Sequence[str]) -> str:
+    """What to do."""
+    if found.any is None:
+        return (
+            "standard errors are of how records scatter. So does a response that depends on "
+            "amplitude (ask distortion), or on flight condition: estimate together what was flown "
+            "alike"
+        )
+    said = (
         "standard errors do not know which is right. Check there the offset, unit, sign and gain "
         "of every channel, and the trim; biases or state_biases free what is constant; leave it "
         "out and compare"
     )
+    if ends := [(i, end) for i in found.which if (end := _end(flown, i))]:
+        i, end = ends[0]
+        said += (
+            f". {names[i]} has the {end} inputs: a response that depends on amplitude does the "
+            "same (ask distortion)"
+        )
+    return said
+
+
+def _end(flown: Sequence[Record], i: int) -> str:
+    """Whether a record has the largest or the smallest inputs of those that move them alike."""
+    sizes = np.array([np.ptp(record.u, axis=0) for record in flown])
+    share = sizes / np.maximum(sizes.max(axis=0), 1e-300)
+    level = np.linalg.norm(share, axis=1)
+    cosine = share @ share[i] / np.maximum(level * level[i], 1e-300)
+    alike = level[cosine > ALIKE]
+    if not len(alike) or alike.max() < RATIO * alike.min():
+        return ""
+    if level[i] * SAME >= alike.max():
+        return "largest"
+    return "smallest" if level[i] <= SAME * alike.min() else ""

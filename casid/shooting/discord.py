@@ -25,7 +25,7 @@ class Discord(NamedTuple):
     """Records that contradict the others."""
 
     which: tuple[int, ...]  # the likeliest first
-    any: bool  # without any one of them the others agree, else without all of them
+    any: bool | None  # without any one of them the others agree, without all of them; or do not
     off: Disagreement  # of the likeliest, or of all of them, from the others
     noise: Array  # (nf,) errors of the parameters by noise as it is in every record, of all
 
@@ -48,15 +48,19 @@ class Records(NamedTuple):
         g = g + F @ P @ self._sum(0, gone)
         return disagreement(Source(g, F, S), P, P @ V @ P, self.root)
 
-    def told(self, which: tuple[int, ...], any_: bool, off: Disagreement) -> Discord:
+    def told(self, which: tuple[int, ...], any_: bool | None, off: Disagreement) -> Discord:
         """What is told of some, with the errors that noise makes."""
         scatter = self.root @ self._sum(2, self._all()) @ self.root.T
         return Discord(which, any_, off, np.sqrt(np.maximum(np.diag(scatter), 0.0)))
 
     def agree(self) -> bool:
         """Whether nothing is beyond chance."""
+        return self.worst() is None
+
+    def worst(self, seldom: float = SELDOM) -> int | None:
+        """Which disagrees most with all others, if any does by more than chance."""
         found = {i: self.against([i], self._all()) for i in self._all()}
-        return _worst(found, len(found)) is None
+        return _worst(found, len(found), seldom)
 
     def _all(self) -> list[int]:
         return list(range(len(self.sources)))
@@ -97,6 +101,15 @@ def discord(records: Records, *, white: bool) -> Discord | None:
     return None
 
 
+def scattered(records: Records) -> Discord | None:
+    """What is told of records that disagree where none, or no few, of them are to blame."""
+    worst = records.worst()
+    if worst is None:
+        return None
+    every = range(len(records.sources))
+    return records.told((worst,), None, records.against([worst], every))
+
+
 def _agree(records: Records, kept: Sequence[int], most: float) -> bool:
     """Whether these agree, but for little beside an excess over chance."""
     found = {i: records.against([i], kept) for i in kept}
@@ -104,9 +117,9 @@ def _agree(records: Records, kept: Sequence[int], most: float) -> bool:
     return worst is None or _excess(found[worst]) < LITTLE * most
 
 
-def _worst(found: dict[int, Disagreement], of: int) -> int | None:
+def _worst(found: dict[int, Disagreement], of: int, seldom: float = SELDOM) -> int | None:
     """Which disagrees most, if any does by more than chance."""
-    if not any(each.chance < SELDOM / of for each in found.values()):
+    if not any(each.chance < seldom / of for each in found.values()):
         return None
     return max(found, key=lambda i: _excess(found[i]))
 

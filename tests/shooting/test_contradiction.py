@@ -9,9 +9,9 @@ from scipy.signal import lfilter, lsim
 from truths.structures import Banking
 
 from casid import DataWarning, Record, output_error
-from casid.shooting.agreement import Source
-from casid.shooting.contradiction import OPPOSED, contradiction
-from casid.shooting.discord import Records
+from casid.shooting.agreement import Disagreement, Source
+from casid.shooting.contradiction import OPPOSED, contradiction, tell
+from casid.shooting.discord import Discord, Records
 
 T = np.arange(0, 6, 0.05)
 
@@ -130,3 +130,48 @@ def test_scattered_records_do_not_hide_the_one_at_fault_in_large_standard_errors
     records[0] = replace(records[0], u=1.15 * records[0].u)
     _, (said,) = told(records)
     assert ": flight 0 and all others, which agree" in said
+
+
+def sentence(sizes, which, any_=False, far=5.0):
+    """What is told of records with steps of one or two sticks."""
+    u = [np.outer(np.sin(T), size) for size in sizes]
+    names = [f"stick {k}" for k in range(len(sizes[0]))]
+    flights = [Record(T, x, x[:, :1], names, ["p"], f"r{k}") for k, x in enumerate(u)]
+    off = Disagreement(100.0, 1, np.array([far]), np.array([far]))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataWarning)
+        tell(Discord(which, any_, off, np.ones(1)), flights, ["Lp"])
+    return "".join(str(each.message) for each in caught)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "which", "end"),
+    [
+        ([[1], [2], [1.5]], (1,), "r1 has the largest inputs"),
+        ([[1], [2], [1.5]], (0,), "r0 has the smallest inputs"),
+        ([[1], [2], [1.5]], (2, 0), "r0 has the smallest inputs"),
+        ([[1], [2], [1.5]], (2,), ""),
+        ([[1], [1.1], [1]], (1,), ""),  # all of one size
+        ([[0], [1], [1]], (0,), ""),  # flown with nothing
+        ([[0, 1], [2, 0], [1, 0]], (0,), ""),  # alone on its axis
+        ([[0, 3], [2, 0], [1, 0]], (2,), "r2 has the smallest inputs"),
+    ],
+)
+def test_a_record_of_the_largest_or_smallest_inputs_may_be_no_fault_of_instruments(
+    sizes, which, end
+):
+    said = sentence(sizes, which)
+    assert said.startswith(OPPOSED)
+    assert ("a response that depends on amplitude does the same (ask distortion)" in said) == (
+        end != ""
+    )
+    assert end in said
+
+
+def test_where_no_few_are_to_blame_no_instrument_is():
+    said = sentence([[1], [1], [1]], (2,), None)
+    assert "r2 most, and the others too, whichever few are left out (chi-square" in said
+    assert "Estimates without r2 are elsewhere, in errors that noise alone would make Lp by" in said
+    assert "ask distortion" in said
+    assert "offset" not in said
+    assert sentence([[1], [1], [1]], (2,), None, far=1.0) == ""  # that moves nothing

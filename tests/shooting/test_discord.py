@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casid.shooting.agreement import Source
-from casid.shooting.discord import Records, discord
+from casid.shooting.discord import Records, discord, scattered
 
 NF = 2
 
@@ -76,3 +76,14 @@ def test_two_records_accuse_each_other_where_nothing_else_is_left_of_them(white)
 
 def test_records_of_which_no_two_agree_are_nobodys_fault():
     assert discord(records(*flown((3, 0), (-3, 0), (0, 3), (0, -3), (0, 0))), white=True) is None
+
+
+def test_of_records_of_which_no_two_agree_the_worst_is_told_and_what_it_moves():
+    J, y = flown((3, 0), (-3, 0), (0, 3), (0, -3), (0, 9))
+    made = records(J, y)
+    found = scattered(made)
+    assert found.which == (4,)
+    assert found.any is None
+    np.testing.assert_allclose(found.off.step, estimate(J[:4], y[:4]) - estimate(J, y))
+    np.testing.assert_allclose(found.noise, np.sqrt(np.diag(made.root @ made.root.T)))
+    assert scattered(records(*flown(*[(1, 2)] * 4))) is None
