@@ -50,8 +50,11 @@ def warn_of_missed(
     residuals: Sequence[Residual],
     F: Array,
     spectra: Sequence[NoiseSpectrum],
-) -> None:
-    """Tell of outputs whose residuals surely follow the inputs; F (nf, nf) is the information."""
+) -> bool:
+    """Tell of outputs whose residuals surely follow the inputs; F (nf, nf) is the information.
+
+    Whether there are any.
+    """
     found = dict(zip(lines[0].record.outputs, followed(lines, residuals, F, spectra), strict=True))
     missed = {
         name: each.share
@@ -66,6 +69,7 @@ def warn_of_missed(
             "derivatives may be off by several of their standard errors. Add what is missing, or "
             "compare with a frequency response"
         )
+    return bool(missed)
 
 
 def followed(

@@ -92,8 +92,8 @@ class OutputError:
         records' transforms by their spectrum, which is estimated, so that what the structure misses
         at some frequencies counts less there. In the frequency domain nothing is shot: no
         ``interval``, no process noise, biases always, R diagonal, records sampled evenly.
-        Errors allow for how few lines the spectrum comes from; a `DataWarning` tells where that may
-        not be enough.
+        Errors allow for how few lines the spectrum comes from, a `DataWarning` tells where that may
+        not be enough; and for records that differ by more than noise makes them.
     responses : sequence of FrequencyResponse
         Measured responses, or another tool's, that enter the same likelihood in either domain: each
         point by its stated error and bias, correlated with its neighbours as the response states;
@@ -264,10 +264,12 @@ def output_error(
     Fit
         ``cost`` is the negative logarithm of the likelihood, ½ Σ (rᵀR⁻¹r + log det R), less its
         constant ½ n log 2π; ``std_error`` allows for residuals correlated in time and across
-        outputs, ``cramer_rao`` does not. In the time domain and without process noise a
-        `DataWarning` names the record, or the few, by which estimates move and without which the
-        others agree: one of a wrong trim, unit or gain. It is not told where the others contradict
-        each other, too, as where the structure misses something.
+        outputs, ``cramer_rao`` does not. Without process noise a `DataWarning` names the record, or
+        the few, by which estimates move and without which the others agree: one of a wrong trim,
+        unit or gain. Where the others contradict each other, too, as where the structure misses
+        something, the time domain does not tell; the frequency domain does where residuals follow
+        no input, as of a response that depends on amplitude, and its errors are no less than those
+        by which estimates scatter from record to record.
 
     Raises
     ------

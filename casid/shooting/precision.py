@@ -65,7 +65,8 @@ class OutputErrorNotes:
         What of ``Fit.covariance`` is that parameters on bounds may be within them.
     record_scores, record_information : (records, nf) and (records, nf, nf) array
         Of every record, all else following the parameters: the slope of its log-likelihood at the
-        estimate, which in all is zero, and its information. None of white residuals.
+        estimate, which in all is zero, and its information. None of white residuals, in the
+        frequency domain of records that differ by no more than noise.
     """
 
     rounds: int

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import ConvergenceError, warn
+from casid.errors import ConvergenceError, asked, warn
 from casid.estimates import (
     at_bounds,
     constraint_table,
@@ -26,6 +26,7 @@ from casid.prediction import PredictionPlan, predict
 from casid.record import Record
 from casid.records import common_hold, common_units
 from casid.shooting import uncertainty
+from casid.shooting.contradiction import tell
 from casid.shooting.delays import warn_of_jumps
 from casid.shooting.frequency import (
     SpectralOutcome,
@@ -36,6 +37,7 @@ from casid.shooting.frequency import (
 )
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.missed import warn_of_missed
+from casid.shooting.opposed import Opposed, opposed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
 from casid.shooting.sides import done, heard, searched
 from casid.shooting.spectral import as_real
@@ -108,7 +110,8 @@ def _fit(
     lam = on_bounds(free, solution.x * programme.scales, multipliers, felt)
     model, ties = start.with_vector(free.full(lam)), programme.ties
     prices = -programme.n * solution.multipliers_g[: len(ties)] / ties
-    found = _precision(programme, solution.x, lam, (multipliers, prices), estimated=estimated)
+    slopes = multipliers, prices
+    found, own = _precision(programme, solution.x, lam, slopes, estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
     unsettled = (
@@ -119,7 +122,11 @@ def _fit(
     more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
     success, status = verdict(solution, outcome.settled, unsettled, more, violated(free, lam))
     if success and (state := programme.state(solution.x)) is not None:
-        warn_of_missed(METHOD, lines, state.residuals, state.F, programme.spectra)
+        missed = warn_of_missed(METHOD, lines, state.residuals, state.F, programme.spectra)
+        if own is not None and asked():
+            opposing = own.discord(lines, programme.spectra)
+            if opposing and not (missed and opposing.any is None):  # it may set all apart
+                tell(opposing, [each.record for each in lines], free.names)
     R = _variances(programme, solution.x)
     begun = [
         predict(model.system(), each.record, np.sqrt(R), PredictionPlan(np.inf)) for each in lines
@@ -164,16 +171,17 @@ def _precision(
     slopes: tuple[Array, Array],
     *,
     estimated: bool,
-) -> Precision:
+) -> tuple[Precision, Opposed | None]:
     """Precision of the free parameters; the robust one allows for correlated outputs.
 
     And for spectra that are estimated, of few lines: those held if ``estimated``, else those of the
-    residuals that a given R leaves.
+    residuals that a given R leaves; and for records that differ by more than noise makes them,
+    which come with it.
     """
     free, state, n = programme.residuals.free, programme.state(x), len(lam)
     if state is None:
         nothing = np.where(np.eye(n, dtype=bool), np.inf, np.nan)
-        return Precision(nothing, nothing, np.full(n, np.inf), (), free.names)
+        return Precision(nothing, nothing, np.full(n, np.inf), (), free.names), None
     span = free.scale[free.index]
     insensitivity = _insensitivity(state)
     active = at_bounds(free, lam, insensitivity)
@@ -199,13 +207,32 @@ def _precision(
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
     found = _allowing(found, known * unit, programme, state, lam, noise)
+    found, own = _between_records(found, known * unit, programme, state)
     bounded, rigid = within(free, lam, active, *slopes)
     if not len(bounded.slope):
-        return found
+        return found, own
     both = known, np.where(np.isfinite(scaled), found.covariance / unit, 0.0)
     scaled_bounds = bounded._replace(rows=bounded.rows * span)
     more = unit * uncertainty.beside_bounds(F, rigid * span, alone, scaled_bounds, both)
-    return replace(found, covariance=found.covariance + more, beside_bounds=more)
+    return replace(found, covariance=found.covariance + more, beside_bounds=more), own
+
+
+def _between_records(
+    found: Precision, P: Array, programme: SpectralProgramme, state: State
+) -> tuple[Precision, Opposed | None]:
+    """The precision with errors no less than records scatter, and these against each other.
+
+    By the inverse information P (nf, nf). Records are not asked where what is known beside them
+    pulls at all.
+    """
+    free, lines = programme.residuals.free, programme.residuals.lines
+    if len(lines) < (3 if free.priors else 2) or free.evidence is not None or not P.any():
+        return found, None
+    own = opposed(lines, state.residuals, programme.powers, P)
+    if not free.priors:
+        wider = own.widened(found.covariance)
+        found = replace(found, covariance=wider, records=own.scores())
+    return found, own
 
 
 class _Noise(NamedTuple):

@@ -265,13 +265,13 @@ def coloured_covariance(
         g, H = together.records()
         inverse = vectors[:, known] / np.sqrt(values[known]) / unit
         records = g @ inverse.T, inverse @ H @ inverse.T
-        K = _larger(K, together.K) if PARTS * length >= len(C) else K
+        K = larger(K, together.K) if PARTS * length >= len(C) else K
     elif length == 0:
-        K = _larger(K, np.eye(len(K)))
+        K = larger(K, np.eye(len(K)))
     return np.asarray(root @ K @ root.T), records
 
 
-def _larger(A: Array, B: Array) -> Array:
+def larger(A: Array, B: Array) -> Array:
     """In the directions that make both diagonal the larger of two symmetric matrices."""
     values, axes = np.linalg.eigh(A)
     root = axes * np.sqrt(np.maximum(values, GONE * values.max(initial=0.0)))

@@ -1,0 +1,178 @@
+"""Whether records contradict each other, on the lines of their transforms.
+
+`casid.shooting.discord` asks each record by the slope g of its part of the likelihood and by its
+information F. The covariance of g is that of noise of the spectra that are left by an estimate of
+each record alone, to first order: those that all leave together may hold the contradiction itself.
+They are of records of one kind together, every output of its own size in each. Of few lines they
+are less known: chi-squares count for less by as much as Fisher's F is wider.
+
+Scores of whole records also tell how estimates scatter from flight to flight, where that is by more
+than noise, as `casid.bounds.robust` has it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri, fdtri
+
+from casid.arrays import Array, ComplexArray
+from casid.shooting.agreement import SELDOM as RARELY
+from casid.shooting.agreement import Source
+from casid.shooting.discord import SELDOM, Discord, Records, discord, scattered
+from casid.shooting.lines import Lines
+from casid.shooting.missed import LEVEL as FOLLOWS
+from casid.shooting.missed import followed
+from casid.shooting.scores import NO_SCORES, RecordScores, left_out
+from casid.shooting.spectral import Residual, as_real
+from casid.shooting.spectrum import (
+    NoiseSpectrum,
+    coherent,
+    degrees,
+    leftover,
+    leverages,
+    smoothed,
+)
+from casid.shooting.uncertainty import larger
+
+GONE = 1e-10  # of the largest variance, or information, in units of their sizes: none
+FEWEST = 4.0  # degrees of freedom of noise, that count
+
+
+class Opposed(NamedTuple):
+    """Records of one estimate on their lines, in coordinates in which the information is I."""
+
+    records: Records
+    inverse: Array  # (k, nf) of their root
+    left: list[Residual]  # what an estimate of each record alone would leave, to first order
+
+    def widened(self, covariance: Array) -> Array:
+        """A covariance (nf, nf) of the estimates, no less than scores of whole records scatter.
+
+        The same where records agree but for noise.
+        """
+        if self.records.worst(RARELY) is None:
+            return covariance
+        told, root = np.isfinite(covariance), self.records.root
+        K = self.inverse @ np.where(told, covariance, 0.0) @ self.inverse.T
+        g = np.array([left_out(each.F, 0.5) @ each.g for each in self.records.sources])
+        return np.where(told, covariance + root @ (larger(K, g.T @ g) - K) @ root.T, covariance)
+
+    def discord(self, lines: Sequence[Lines], spectra: Sequence[NoiseSpectrum]) -> Discord | None:
+        """Which of them contradict the others, if any; none of them, where no few are to blame.
+
+        Of two, where nothing that their own estimates leave follows the inputs.
+        """
+        if self.records.worst() is None:
+            return None
+        pairs = zip(lines, self.left, strict=True)
+        chances = [each.chance for own, r in pairs for each in followed([own], [r], r.F, spectra)]
+        found = discord(self.records, white=min(chances) > FOLLOWS / len(chances))
+        return found or scattered(self.records)
+
+    def scores(self) -> RecordScores:
+        """Of whole records by the free parameters, and their information, if they scatter; none."""
+        if self.records.worst(RARELY) is None:
+            return NO_SCORES
+        g, F, _ = zip(*self.records.sources, strict=True)
+        return np.array(g) @ self.inverse, self.inverse.T @ np.array(F) @ self.inverse
+
+
+def opposed(
+    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array], P: Array
+) -> Opposed:
+    """Records at an estimate whose inverse information is P (nf, nf), 0 of what is held.
+
+    ``powers`` (K, ny) are the spectra by which residuals are weighed.
+    """
+    root, inverse = _roots(P)
+    rows = [np.concatenate([part for _, part in each.moved(root)]) for each in residuals]
+    own = [(root.T @ each.g, root.T @ each.F @ root) for each in residuals]
+    alone = [_alone(*each) for each in zip(lines, residuals, powers, rows, own, strict=True)]
+    taken = [leverages([each], each.F)[0] for each in residuals]
+    left = leftover(lines, residuals, taken)
+    white = [replace(r, E=r.E / np.sqrt(power)) for r, power in zip(alone, powers, strict=True)]
+    sizes = [_sizes(*each) for each in zip(lines, white, left, strict=True)]
+    even = [replace(r, E=r.E / np.sqrt(size)) for r, size in zip(white, sizes, strict=True)]
+    shapes = _shapes(lines, even, left)
+    across = coherent(lines, even, shapes, left)
+    noise = [
+        each * np.sqrt(shape * size)[:, None, :, None]
+        for each, shape, size in zip(rows, shapes, sizes, strict=True)
+    ]
+    scatter = [_quadratic(each, S) for each, S in zip(noise, across, strict=True)]
+    larger = _larger(lines, noise, left)
+    sources = [Source(g, F, larger * S) for (g, F), S in zip(own, scatter, strict=True)]
+    return Opposed(Records(sources, root), inverse, alone)
+
+
+def _roots(P: Array) -> tuple[Array, Array]:
+    """(nf, k), P = root rootᵀ, and its inverse (k, nf)."""
+    size = np.sqrt(np.diag(P))
+    unit = np.where(size > 0, size, 1.0)
+    values, axes = np.linalg.eigh(P / np.outer(unit, unit))
+    known = values > GONE * values.max(initial=0.0)
+    axes, size = axes[:, known], np.sqrt(values[known])
+    return unit[:, None] * axes * size, (axes / size).T / unit
+
+
+def _alone(
+    lines: Lines, residual: Residual, power: Array, rows: Array, own: tuple[Array, Array]
+) -> Residual:
+    """The residuals that a record's own estimate leaves, to first order."""
+    g, F = own
+    values, axes = np.linalg.eigh(F)
+    known = values > GONE * values.max(initial=0.0)
+    step = -axes[:, known] @ (axes[:, known].T @ g / values[known])
+    moved = rows @ step  # halves (K, 2, ny), weighed
+    moved = (moved[:, 0] + 1j * moved[:, 1]) / np.sqrt(lines.weight)[:, None]
+    return replace(residual, E=residual.E - moved * np.sqrt(power))
+
+
+def _sizes(lines: Lines, residual: Residual, left: Array) -> Array:
+    """Mean power (ny,) of a record's residuals; 1 of what it has not."""
+    power, freedom = lines.weight @ np.abs(residual.E) ** 2, left.sum(axis=0)
+    size = power / np.maximum(freedom, 1.0)
+    return np.where(size > 0, size, 1.0)
+
+
+def _shapes(
+    lines: Sequence[Lines], residuals: Sequence[Residual], left: Sequence[Array]
+) -> list[Array]:
+    """Power of residuals on the lines of every record, (K, ny), of records of a kind together."""
+    found: list[Array] = []
+    for each in lines:
+        mine = [r for r, other in enumerate(lines) if other.kind == each.kind]
+        omega = np.concatenate([lines[r].omega for r in mine])
+        shape = np.ones((len(each.omega), len(each.seen)))
+        for i in range(len(each.seen)):
+            power = [lines[r].weight * np.abs(residuals[r].E[:, i]) ** 2 for r in mine]
+            freedom = [left[r][:, i] * lines[r].seen[i] for r in mine]
+            if np.concatenate(freedom).any():
+                parts = np.concatenate(power), np.concatenate(freedom)
+                shape[:, i] = np.maximum(smoothed(omega, *parts, each.omega), 1e-300)
+        found.append(shape)
+    return found
+
+
+def _quadratic(rows: Array, S: ComplexArray) -> Array:
+    """Covariance (k, k) of the score of a record, by rows (K, 2, ny, k) of unit residuals."""
+    k = rows.shape[-1]
+    flat = rows.reshape(len(rows), -1, k)
+    total = flat.reshape(-1, k).T @ (as_real(S) @ flat).reshape(-1, k)
+    return np.asarray((total + total.T) / 2)
+
+
+def _larger(lines: Sequence[Lines], rows: Sequence[Array], left: Sequence[Array]) -> float:
+    """By what chi-squares are larger if their unit has as few degrees of freedom as it has."""
+    k = rows[0].shape[-1]
+    total, free = np.zeros(k), np.zeros(k)
+    for each, own, rest in zip(lines, rows, left, strict=True):
+        c = np.sum(own**2, axis=1)  # (K, ny, k)
+        total += c.sum(axis=(0, 1))
+        free += np.einsum("kia,ki->a", c, rest / each.weight[:, None])
+    share = free / np.maximum(total, 1e-300)
+    freedom = np.maximum(degrees(lines, rows, np.eye(k)) * share, FEWEST)
+    chance = SELDOM / len(lines)
+    return float(k * fdtri(k, freedom.min(), 1 - chance) / chdtri(k, chance))
