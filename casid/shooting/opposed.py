@@ -4,7 +4,8 @@
 information F. The covariance of g is that of noise of the spectra that are left by an estimate of
 each record alone, to first order: those that all leave together may hold the contradiction itself.
 They are of records of one kind together, every output of its own size in each. Of few lines they
-are less known: chi-squares count for less by as much as Fisher's F is wider.
+are less known: scores count for less by as much as Student's t is wider, and for less still where a
+spectrum is steep.
 
 Scores of whole records also tell how estimates scatter from flight to flight, where that is by more
 than noise, as `casid.bounds.robust` has it.
@@ -15,7 +16,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtri
+from scipy.special import ndtri, stdtrit
 
 from casid.arrays import Array, ComplexArray
 from casid.shooting.agreement import SELDOM as RARELY
@@ -37,7 +38,9 @@ from casid.shooting.spectrum import (
 from casid.shooting.uncertainty import larger
 
 GONE = 1e-10  # of the largest variance, or information, in units of their sizes: none
-FEWEST = 4.0  # degrees of freedom of noise, that count
+COLOURED = 3.0  # rise of a spectrum from which few lines miss its shape and leak into others
+MORE = 2.0  # times the variance of scores where it does
+FEWEST = 1.0  # degrees of freedom of noise, that count, lest a factor be infinite
 
 
 class Opposed(NamedTuple):
@@ -45,6 +48,7 @@ class Opposed(NamedTuple):
 
     records: Records
     inverse: Array  # (k, nf) of their root
+    noise: Array  # (nf,) errors of the parameters by noise as it is in every record
     left: list[Residual]  # what an estimate of each record alone would leave, to first order
 
     def widened(self, covariance: Array) -> Array:
@@ -69,7 +73,8 @@ class Opposed(NamedTuple):
         pairs = zip(lines, self.left, strict=True)
         chances = [each.chance for own, r in pairs for each in followed([own], [r], r.F, spectra)]
         found = discord(self.records, white=min(chances) > FOLLOWS / len(chances))
-        return found or scattered(self.records)
+        found = found or scattered(self.records)
+        return found and found._replace(noise=self.noise)
 
     def scores(self) -> RecordScores:
         """Of whole records by the free parameters, and their information, if they scatter; none."""
@@ -102,9 +107,14 @@ def opposed(
         for each, shape, size in zip(rows, shapes, sizes, strict=True)
     ]
     scatter = [_quadratic(each, S) for each, S in zip(noise, across, strict=True)]
-    larger = _larger(lines, noise, left)
-    sources = [Source(g, F, larger * S) for (g, F), S in zip(own, scatter, strict=True)]
-    return Opposed(Records(sources, root), inverse, alone)
+    wider = _wider(lines, noise, left)
+    more = MORE if _rise(lines, shapes, powers) > COLOURED else 1.0
+    sources = [
+        Source(g, F, more * wider[:, None] * S * wider)
+        for (g, F), S in zip(own, scatter, strict=True)
+    ]
+    errors = np.sqrt(np.diag(root @ np.sum(scatter, axis=0) @ root.T))
+    return Opposed(Records(sources, root), inverse, errors, alone)
 
 
 def _roots(P: Array) -> tuple[Array, Array]:
@@ -156,6 +166,15 @@ def _shapes(
     return found
 
 
+def _rise(lines: Sequence[Lines], shapes: Sequence[Array], powers: Sequence[Array]) -> float:
+    """How many times its least power an output's noise rises at most, in any record."""
+    rises = [
+        (shape * power)[:, line.seen]
+        for line, shape, power in zip(lines, shapes, powers, strict=True)
+    ]
+    return max(float(np.max(each.max(axis=0) / each.min(axis=0), initial=1.0)) for each in rises)
+
+
 def _quadratic(rows: Array, S: ComplexArray) -> Array:
     """Covariance (k, k) of the score of a record, by rows (K, 2, ny, k) of unit residuals."""
     k = rows.shape[-1]
@@ -164,8 +183,11 @@ def _quadratic(rows: Array, S: ComplexArray) -> Array:
     return np.asarray((total + total.T) / 2)
 
 
-def _larger(lines: Sequence[Lines], rows: Sequence[Array], left: Sequence[Array]) -> float:
-    """By what chi-squares are larger if their unit has as few degrees of freedom as it has."""
+def _wider(lines: Sequence[Lines], rows: Sequence[Array], left: Sequence[Array]) -> Array:
+    """By what scores (k,) scatter more for what of noise is known from few degrees of freedom.
+
+    Student's t where the test asks, by the normal distribution.
+    """
     k = rows[0].shape[-1]
     total, free = np.zeros(k), np.zeros(k)
     for each, own, rest in zip(lines, rows, left, strict=True):
@@ -175,4 +197,4 @@ def _larger(lines: Sequence[Lines], rows: Sequence[Array], left: Sequence[Array]
     share = free / np.maximum(total, 1e-300)
     freedom = np.maximum(degrees(lines, rows, np.eye(k)) * share, FEWEST)
     chance = SELDOM / len(lines)
-    return float(k * fdtri(k, freedom.min(), 1 - chance) / chdtri(k, chance))
+    return np.asarray(stdtrit(freedom, chance / 2) / ndtri(chance / 2))
