@@ -9,7 +9,7 @@ from casid.arrays import Array, BoolArray
 from casid.consistency.lags import correlations, peak
 from casid.display import counted, listed
 from casid.logs.conventions import continuous
-from casid.logs.sources import Source
+from casid.logs.sources import Source, moves
 from casid.record import FEWEST, MOST, Hold, Record
 from casid.samples import Between, as_it_is, at_instants, jumps, unwrapped
 from casid.studies.preparation import with_inputs
@@ -51,7 +51,7 @@ def usual_dt(
     slowest = max(source.topic.interval for source in inputs.values())
     fastest = min(source.topic.interval for source in inputs.values())
     wanted = max(rates, STEPPED) * (1 - ROUGHLY)
-    held = hold == "zoh" or (hold is None and all(map(in_steps, inputs.values())))
+    held = hold == "zoh" or (hold is None and stepped(inputs) == {*inputs})
     if fastest > wanted and held:
         return float(f"{fastest / int(fastest / wanted):.2g}")
     return max(FASTEST, float(f"{max(slowest, rates):.2g}"))
@@ -60,6 +60,15 @@ def usual_dt(
 def in_steps(source: Source) -> bool:
     """Whether an input's samples are those of a value that is held."""
     return bool(len(jumps(source.values[np.isfinite(source.values)])))
+
+
+def stepped(inputs: Mapping[str, Source]) -> set[str]:
+    """Inputs that count as held: of a message of which one moves by steps, all.
+
+    They were sent together. What moves smoothly looks like lines, held or not, and says nothing.
+    """
+    topics = {id(source.topic) for source in inputs.values() if in_steps(source)}
+    return {name for name, source in inputs.items() if id(source.topic) in topics}
 
 
 def hold_of(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> Hold:
@@ -75,7 +84,7 @@ def hold_of(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: flo
         (same and abs(source.topic.interval - dt) < ROUGHLY * dt) or _on(source, start, dt)
         for source in inputs.values()
     )
-    return "zoh" if on and all(map(in_steps, inputs.values())) else "foh"
+    return "zoh" if on and stepped(inputs) == {*inputs} else "foh"
 
 
 def _on(source: Source, start: float, dt: float) -> bool:
@@ -93,12 +102,16 @@ def hold_told(
 ) -> list[str]:
     """What is taken of every input between its samples, and what that changes, a sentence each."""
     held = (hold or hold_of(inputs, outputs, dt)) == "zoh"
-    said = []
+    said, steps = [], stepped(inputs)
     for name, source in inputs.items():
         half = f"half its interval, {500 * source.topic.interval:.3g} ms,"
-        if hold == "zoh" or (hold is None and in_steps(source)):
+        if hold == "zoh" or (hold is None and name in steps):
             how = 'held between its samples (hold "zoh")' if held else "lines through their middles"
-            said.append(f"{name} moves by steps: {how}; were it lines, delays were {half} longer")
+            mates = [n for n in steps if inputs[n].topic is source.topic and in_steps(inputs[n])]
+            does = "moves by steps"
+            if mates and name not in mates:
+                does = f"counts as moving by steps, as {listed(sorted(mates))} beside it does"
+            said.append(f"{name} {does}: {how}; were it lines, delays were {half} longer")
         else:
             said.append(
                 f'{name} is taken as lines between its samples (hold "foh"); were it held from one '
@@ -108,21 +121,45 @@ def hold_told(
 
 
 def hold_doubt(inputs: Mapping[str, Source], hold: Hold | None = None) -> list[str]:
-    """What delays owe to it that inputs which move by steps are taken as held, [] if to none.
+    """What delays owe to what inputs are taken to do between their samples, [] if to none.
 
     Not of a log so fast that records are no faster, nor if lines are asked for.
     """
-    names = [name for name, source in inputs.items() if in_steps(source)]
-    longest = max((inputs[name].topic.interval for name in names), default=0.0)
-    if hold == "foh" or longest < STEPPED * (1 - ROUGHLY):
-        return []
-    return [
-        f"{listed(names)} {'moves' if len(names) == 1 else 'move'} by steps and count as held "
-        f"between samples, {1000 * longest:.3g} ms apart: if what drove the aircraft moved in "
-        f"between, as of a controller faster than the log, delays are some {500 * longest:.3g} ms, "
-        "half an interval, longer than estimated: import the log as lines, too (casid import "
-        "--hold foh), and compare"
-    ]
+    steps = {*inputs} if hold == "zoh" else stepped(inputs)
+    slow = {
+        name: source.topic.interval
+        for name, source in inputs.items()
+        if source.topic.interval >= STEPPED * (1 - ROUGHLY) and moves(source)
+    }
+    held, lines = ({n: x for n, x in slow.items() if (n in steps) == own} for own in (True, False))
+    said = []
+    if held and hold != "foh":
+        said.append(
+            f"{_taken(held)} as held between samples, {_apart(held)}: if what drove the aircraft "
+            f"moved in between, as of a controller faster than the log, delays are {_half(held)} "
+            "longer than estimated: import the log as lines, too (casid import --hold foh), and "
+            "compare"
+        )
+    if lines and hold is None:
+        said.append(
+            f"{_taken(lines)} as lines between samples, {_apart(lines)}: if each was held from one "
+            f"to the next, as of a controller no faster than the log, delays are {_half(lines)} "
+            "shorter than estimated: import the log as held, too (casid import --hold zoh), and "
+            "compare"
+        )
+    return said
+
+
+def _taken(names: Mapping[str, float]) -> str:
+    return f"{listed([*names])} {'counts' if len(names) == 1 else 'count'}"
+
+
+def _apart(intervals: Mapping[str, float]) -> str:
+    return f"{1000 * max(intervals.values()):.3g} ms apart"
+
+
+def _half(intervals: Mapping[str, float]) -> str:
+    return f"some {500 * max(intervals.values()):.3g} ms, half an interval,"
 
 
 def assemble(
@@ -171,7 +208,7 @@ def _records(
         )
     t = span[0] + step * np.arange(n + 1)
     hold = asked or hold_of(inputs, outputs, dt)
-    columns = []
+    columns, steps = [], stepped(inputs)
     for channel, source in every.items():
         own = source.topic.t
         taken = own if channel in inputs else source.topic.taken
@@ -181,7 +218,7 @@ def _records(
         how: Between = hold if channel in inputs else "smooth"
         if near.sum() <= 3:
             columns.append(np.nan * t)
-        elif channel in inputs and hold == "foh" and asked is None and in_steps(source):
+        elif channel in inputs and hold == "foh" and asked is None and channel in steps:
             columns.append(_means(own[near], x, t, step))
         else:
             columns.append(at_instants(taken[near], x, t, how))

@@ -15,6 +15,7 @@ from casid.logs.assembly import (
     hold_told,
     in_steps,
     lateness,
+    stepped,
     usual_dt,
 )
 from casid.logs.conventions import derived, find_channels, others
@@ -288,8 +289,47 @@ def test_commands_logged_slower_than_they_were_made_are_half_an_interval_late_as
     assert "shorter" in hold_told(inputs, outputs, 0.02, "foh")[0]
 
 
-def test_no_doubt_is_told_of_lines_and_of_fast_logs():
+def test_doubt_is_told_of_lines_too_and_not_of_fast_logs_nor_of_what_rests():
     t = 0.02 * np.arange(2000)
-    assert hold_doubt({"u": source(t, np.sin(t))}) == []
+    (said,) = hold_doubt({"u": source(t, np.sin(t)), "rests": source(t, 0 * t)})
+    assert said.startswith("u counts as lines between samples, 20 ms apart")
+    assert "some 10 ms, half an interval, shorter" in said
+    assert "--hold zoh" in said
+    assert hold_doubt({"u": source(t, np.sin(t))}, "foh") == []
+    assert hold_doubt({"u": source(t, np.sin(t))}, "zoh")[0].startswith("u counts as held")
     fast = 0.0025 * np.arange(8000)
     assert hold_doubt({"u": source(fast, np.sign(np.sin(fast)))}) == []
+
+
+@pytest.mark.second
+@pytest.mark.parametrize("seed", range(2))
+def test_inputs_of_one_message_count_alike_and_their_delays_are_those_of_the_truth(seed):
+    """One command steps, one moves smoothly; both are held for 20 ms and act 80 ms later."""
+    rng, every, fine = np.random.default_rng(seed), 0.02, 0.0005
+    t = np.arange(0, 40, fine)
+    own = np.floor(t / every + 1e-6) * every
+    commands = [np.sign(np.sin(0.9 * own + 0.01 * own**2)), np.sin(2.1 * own + rng.uniform(0, 6))]
+    truth = StateSpace(*([[x]] for x in (-4.0, 5.0, 1.0, 0.0)), delay=[0.08])
+    y = [truth.simulate(t, u[:, None], hold="zoh")[:, 0] for u in commands]
+    rows = slice(None, None, round(every / fine))
+    topic = Topic(name="C", t=t[rows], columns={}, age=0.0)
+    names = ("roll", "pitch")
+    inputs = {
+        name: Source(place=f"C.{name}", topic=topic, values=u[rows])
+        for name, u in zip(names, commands, strict=True)
+    }
+    outputs = {n: source(t[::10], each[::10], n) for n, each in zip("pq", y, strict=True)}
+    assert [in_steps(each) for each in inputs.values()] == [True, False]
+    assert stepped(inputs) == {*names}
+    assert stepped({"pitch": inputs["pitch"]}) == set()
+    apart = inputs | {"roll": source(t[rows], commands[0][rows], "other")}
+    assert stepped(apart) == {"roll"}  # of another message
+    assert "as roll beside it" in hold_told(inputs, outputs, 0.01)[1]
+    (record,) = assemble(inputs, outputs, 0.01, "flight")
+    tau, found = np.linspace(0.065, 0.095, 61), []
+    for k in range(2):
+        lags = [replace(truth, delay=np.array([each])) for each in tau]
+        left = [m.simulate(record.t, record.u[:, [k]], hold=record.hold)[:, 0] for m in lags]
+        errors = [np.sum((each - record.y[:, k])[200:-20] ** 2) for each in left]
+        found.append(tau[np.argmin(errors)])
+    np.testing.assert_allclose(found, 0.08, atol=0.0006)
