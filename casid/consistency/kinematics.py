@@ -251,7 +251,7 @@ def _reconstructed(
             *signs.told(recorded),
             *against_gravity(flights, names),
             *odd.values(),
-            *misplaced(place, errors),
+            *([] if _clocks_differ(apart) else misplaced(place, errors)),
             *apart.told(),
             *drifts.told(),
         ),
@@ -260,6 +260,15 @@ def _reconstructed(
         apart=apart,
         drifts=drifts,
     )
+
+
+def _clocks_differ(apart: Apart) -> bool:
+    """Whether attitudes and rates are of different clocks: velocities they turned read as places.
+
+    At a speed U those that an attitude late by τ turned into body axes as of a place U τ away.
+    """
+    rates = [each for name, each in apart.left.items() if name in RATES]
+    return bool({*ATTITUDES} & {*apart.late}) or any(significant(*each) for each in rates)
 
 
 def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:

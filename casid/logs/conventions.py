@@ -111,28 +111,36 @@ def others(log: Log, name: str, taken: Source) -> list[Source]:
     return [each for each in found if each is not None and each.topic is not taken.topic]
 
 
-def derived(log: Log) -> Log:
+def derived(log: Log, late: float = 0.0) -> Log:
     """The log with Euler angles beside its quaternions, and body velocities beside those in NED.
 
-    A velocity is turned by the attitude at the instant it was sampled, not at that of its stamp.
+    A velocity is turned by the attitude at the instant it was sampled, not at that of its stamp;
+    of attitudes that come ``late`` [s] by that of so much later.
     """
     topics = {name: _with_angles(topic) for name, topic in log.topics.items()}
-    for (name, *velocity), attitude in NED:
-        if {name, attitude} <= set(topics) and BODY not in topics:
-            topic, reference = topics[name], replace(log, topics=topics)
-            places = [place for name in ATTITUDES for place in OUTPUTS[name]]
-            own = [place for place in places if place.startswith(f"{attitude}.")]
-            angles = [source_of(reference, place) for place in own]
-            if set(velocity) <= set(topic.columns) and all(angles):
-                speeds = [topic.columns[each] for each in velocity]
-                held = [
-                    at_instants(each.topic.taken, continuous(each.values), topic.taken, "foh")
-                    for each in angles
-                    if each
-                ]
-                columns = dict(zip(VELOCITIES, into_body(speeds, held), strict=True))
-                topics[BODY] = Topic(name=BODY, t=topic.t, columns=columns, age=topic.age)
+    for names, attitude in turned_by(replace(log, topics=topics)):
+        topic, reference = topics[names[0]], replace(log, topics=topics)
+        places = [place for name in ATTITUDES for place in OUTPUTS[name]]
+        own = [place for place in places if place.startswith(f"{attitude}.")]
+        angles = [each for place in own if (each := source_of(reference, place))]
+        if BODY not in topics and len(angles) == len(own):
+            held = [
+                at_instants(each.topic.taken - late, continuous(each.values), topic.taken, "foh")
+                for each in angles
+            ]
+            speeds = [topic.columns[each] for each in names[1:]]
+            columns = dict(zip(VELOCITIES, into_body(speeds, held), strict=True))
+            topics[BODY] = Topic(name=BODY, t=topic.t, columns=columns, age=topic.age)
     return replace(log, topics=topics)
+
+
+def turned_by(log: Log) -> list[tuple[tuple[str, ...], str]]:
+    """Topics of velocities in NED with their columns, and of the attitudes that turn them."""
+    return [
+        (names, attitude)
+        for names, attitude in NED
+        if {names[0], attitude} <= {*log.topics} and {*names[1:]} <= {*log.topics[names[0]].columns}
+    ]
 
 
 def _with_angles(topic: Topic) -> Topic:

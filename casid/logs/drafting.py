@@ -13,7 +13,7 @@ from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.checks import checked
 from casid.consistency.clocks import aligned
 from casid.consistency.kinematics import kinematic_check
-from casid.display import counted
+from casid.display import counted, listed
 from casid.errors import DataWarning
 from casid.excitations import excitation_if_any
 from casid.files import write_csv
@@ -32,6 +32,7 @@ from casid.logs.sources import Source
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, left_out, make_stretch
 from casid.logs.topics import Log
 from casid.logs.unseen import unseen
+from casid.logs.velocities import turned_anew
 from casid.model import Model
 from casid.outlying import outliers
 from casid.record import REST, Hold, Record
@@ -156,7 +157,7 @@ def import_log(
     """
     if dt is not None and not 0 < dt < np.inf:
         raise ValueError(f"dt={dt:g}: expected a sampling interval above 0 s, or none to choose it")
-    log = derived(read_log(path))
+    log = derived(raw := read_log(path))
     folder = Path(folder) if folder is not None else log.path.with_suffix("")
     if (study := folder / "study.toml").exists() and not fresh:
         raise ValueError(
@@ -168,9 +169,8 @@ def import_log(
     dt = usual_dt(inputs, outputs, hold) if dt is None else dt
     assumed += hold_told(inputs, outputs, dt, hold)
     with _naming(log.path):
-        records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"), hold)
-        moves = _moves(records, outputs)
-        cut = _stretches(log, records, inputs)
+        outputs, records, cut, moves, told = _in_line(raw, inputs, outputs, dt, hold)
+        assumed += told
         sound = [_sound(each.record) for each in cut]
         found = [_judged(*each, moves) for each in zip(cut, sound, strict=True)]
         late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
@@ -232,21 +232,39 @@ def _stretches(log: Log, records: Sequence[Record], inputs: Collection[str]) -> 
     return found
 
 
-def _moves(records: Sequence[Record], outputs: Mapping[str, Source]) -> dict[str, float]:
-    """Shifts [s] that bring outputs into line with kinematics; none where it tells nothing.
+def _in_line(
+    log: Log, inputs: Mapping[str, Source], outputs: dict[str, Source], dt: float, hold: Hold | None
+) -> tuple[dict[str, Source], list[Record], list[Stretch], dict[str, float], list[str]]:
+    """Outputs, records, their stretches, what kinematics asks to move, and what was done for it.
 
-    The topic of the attitudes counts as a second logger, unless it is that of the rates.
+    Velocities that an attitude turned which comes late are turned anew, if it is late then, too.
     """
-    gyros, angles = (
-        next((id(outputs[name].topic) for name in names if name in outputs), 0)
-        for names in (RATES, ATTITUDES)
-    )
-    second = [name for name in outputs if gyros != angles == id(outputs[name].topic)]
-    first = [name for name in outputs if name not in second]
+
+    def flown(own: Mapping[str, Source]) -> tuple[list[Record], list[Stretch], dict[str, float]]:
+        records = assemble(inputs, own, dt, log.path.stem.replace(" ", "_"), hold)
+        cut = _stretches(log, records, inputs)
+        return records, cut, _moves([each.record for each in cut])
+
+    records, cut, moves = flown(outputs)
+    anew, late = turned_anew(log, outputs, moves)
+    if anew:
+        other = flown(outputs | anew)
+        if {*ATTITUDES} & {*other[-1]}:
+            how = f"{1000 * abs(late):.0f} ms {'later' if late > 0 else 'earlier'}"
+            told = f"{listed([*anew])} are turned from north, east, down by attitudes logged {how}"
+            return outputs | anew, *other, [f"{told}, as kinematics finds these late"]
+    return outputs, records, cut, moves, []
+
+
+def _moves(records: Sequence[Record]) -> dict[str, float]:
+    """Shifts [s] that bring the study's records into line; none where kinematics tells nothing.
+
+    They are those of ``shift = "kinematics"``.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # of gaps, which others tell
         try:
-            return aligned(kinematic_check(records), first, second, records[0].inputs)[0]
+            return aligned(kinematic_check(records), records[0].outputs, (), records[0].inputs)[0]
         except (ValueError, IndexError):
             return {}
 
@@ -357,7 +375,8 @@ def _write(
     beside = _beside([each.record for each in found], own)
     offered = {name: lag for name, lag in moves.items() if name in (*own, *beside)}
     lags = ", ".join(f"{name} = {lag:+.4f}" for name, lag in offered.items())
-    asked = "# Kinematics asks for this; without the first # of the line it is done:"
+    stay = f"; inputs stay, so that their delays to {', '.join(offered)} change by as much"
+    asked = f"# Kinematics asks for this{stay}. Without the first # of the line it is done:"
     words = {
         "skew": f"{asked}\n# shift = {{ {lags} }}"
         if offered

@@ -5,7 +5,10 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight
 
 from casid import Record
+from casid.consistency.apart import Apart
 from casid.consistency.clocks import _fewer, aligned, moves_told
+from casid.consistency.comparisons import ChannelCheck
+from casid.consistency.instruments import OWN
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 
 OUTPUTS = (*RATES, *FORCES, "phi", "theta")
@@ -27,11 +30,55 @@ def test_the_fewer_move_and_stay_in_the_order_of_the_record(check):
     assert "inputs stay" in moves_told(moves)
 
 
-def test_rates_move_where_they_are_no_more_than_what_they_are_held_against(check):
+def test_rates_that_seem_early_stay_and_their_attitudes_move(check):
     outputs = ("p", "q", "phi", "theta")
     moves, _ = aligned(check, outputs, (), ["lat"])
-    assert list(moves) == ["p", "q"]
-    np.testing.assert_allclose(list(moves.values()), 0.1, atol=0.005)
+    assert list(moves) == ["phi", "theta"]  # which were late
+    np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
+
+
+def seen(left, late=None, against=()):
+    """A check that found rates and forces late by so much, and attitudes by themselves."""
+    channels = [
+        ChannelCheck(
+            channel=name, unit="", against=(OWN[name],), scale=0.0, scale_error=0.01, skew=by,
+            skew_error=error, bias=0.0, bias_error=0.0,
+        )
+        for name, (by, error) in left.items()
+    ]  # fmt: skip
+    apart = Apart(late=late or {}, against=against, left=left)
+    return KinematicCheck(channels=tuple(channels), residuals={}, apart=apart)
+
+
+EARLY = dict.fromkeys("pqr", (-0.03, 0.0005))
+ALL = (*RATES, *FORCES, "phi", "theta", "psi", "u", "v", "w")
+
+
+@pytest.mark.parametrize(
+    "forces",
+    [{}, {"az": (0.008, 0.005)}, {"ay": (0.017, 0.019), "az": (0.005, 0.005)}],
+    ids=str,
+)
+def test_of_one_sensor_no_rates_are_early_without_its_forces(forces):
+    moves, _ = aligned(seen(EARLY | forces), ALL, (), ["lat"])
+    assert moves == pytest.approx(dict.fromkeys(("phi", "theta", "psi"), -0.03))
+
+
+def test_rates_that_are_late_move_as_a_filter_delays_them():
+    late = dict.fromkeys(RATES, (0.03, 0.0005)) | {"az": (0.0, 0.002)}
+    moves, why = aligned(seen(late), ALL, (), ["lat"])
+    assert moves == pytest.approx(dict.fromkeys(RATES, -0.03))
+    assert "az not" in why[-1]
+
+
+def test_attitudes_of_one_source_move_together_unless_some_are_known_to_be_elsewhere():
+    late, rest = {"phi": (0.03, 0.001)}, ("rates", "specific forces", "velocities")
+    moves, (why, *_) = aligned(seen({}, late, rest), ALL, (), ["lat"])
+    assert moves == dict.fromkeys(("phi", "theta", "psi"), -0.03)
+    assert why == "theta, psi: taken to be of the same clock as the others that move"
+    apart = aligned(seen({}, late, (*rest, "theta", "psi")), ALL, (), ["lat"])[0]
+    assert apart == {"phi": -0.03}
+    assert aligned(seen({}, late, rest), ("phi", "p"), ("theta",), ["lat"])[0] == {"phi": -0.03}
 
 
 def test_the_logger_without_inputs_moves_as_a_whole(check):

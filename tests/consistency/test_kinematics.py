@@ -13,7 +13,8 @@ from truths.places import EXAMPLES
 from truths.roll_study import write_study
 
 from casid import DataWarning, outliers, read_csv
-from casid.consistency.kinematics import kinematic_check
+from casid.consistency.apart import Apart
+from casid.consistency.kinematics import _clocks_differ, kinematic_check
 from casid.exchange.formats import read_table, write_table
 from casid.record import Record
 from casid.studies.runner import run_study
@@ -41,6 +42,14 @@ def uh60(which="3211_*.csv", outputs=OUTPUTS):
 def noisy():
     rng = np.random.default_rng(7)
     return [record.with_noise(FLOWN, rng) for record in uh60()]
+
+
+def test_no_place_of_accelerometers_is_told_beside_attitudes_and_rates_of_different_clocks():
+    late, fine = (0.03, 0.001), (0.001, 0.001)
+    assert _clocks_differ(Apart(late={"phi": late}))
+    assert _clocks_differ(Apart(left={"p": (-0.03, 0.001), "ay": fine}))
+    assert not _clocks_differ(Apart(left={"p": fine, "ay": late}))
+    assert not _clocks_differ(Apart(late={"u": late}))
 
 
 # ---- truth known -------------------------------------------------------------------------------
