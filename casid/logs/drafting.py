@@ -32,7 +32,7 @@ from casid.logs.sources import Source
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, left_out, make_stretch
 from casid.logs.topics import Log
 from casid.logs.unseen import unseen
-from casid.logs.velocities import turned_anew
+from casid.logs.velocities import together, turned_anew
 from casid.model import Model
 from casid.outlying import outliers
 from casid.record import REST, Hold, Record
@@ -243,7 +243,8 @@ def _in_line(
     def flown(own: Mapping[str, Source]) -> tuple[list[Record], list[Stretch], dict[str, float]]:
         records = assemble(inputs, own, dt, log.path.stem.replace(" ", "_"), hold)
         cut = _stretches(log, records, inputs)
-        return records, cut, _moves([each.record for each in cut])
+        moves = _moves([each.record for each in cut])
+        return records, cut, moves if "TDMS" in log.kind else together(own, moves)
 
     records, cut, moves = flown(outputs)
     anew, late = turned_anew(log, outputs, moves)
@@ -380,7 +381,7 @@ def _write(
     words = {
         "skew": f"{asked}\n# shift = {{ {lags} }}"
         if offered
-        else "# Kinematics finds no channel late.",
+        else "# Kinematics asks for no shift.",
         "beside": f"check = {json.dumps(beside)} # in no estimate: kinematics judges by them\n"
         if beside
         else "",

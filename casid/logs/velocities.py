@@ -1,4 +1,4 @@
-"""Velocities in body axes of a log whose attitudes come late.
+"""What moves in time of a log: channels of one message together, velocities by what turned them.
 
 Logs keep them north, east, down; attitudes turn them. At a speed U an attitude that comes late by τ
 makes v wrong by U r τ and w by -U q τ, which kinematics can hardly tell from accelerometers U τ
@@ -7,10 +7,27 @@ away from the centre of gravity.
 
 from collections.abc import Mapping
 
-from casid.channels import ATTITUDES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.logs.conventions import BODY, derived, turned_by
 from casid.logs.sources import Source, source_of
 from casid.logs.topics import Log
+
+
+def together(outputs: Mapping[str, Source], moves: Mapping[str, float]) -> dict[str, float]:
+    """Of the moves [s] those of whole messages: rates of one, attitudes and so on, or none of them.
+
+    One sensor measured them at one instant, or one estimate has them all.
+    """
+    kept = dict(moves)
+    for kind in (RATES, FORCES, ATTITUDES, VELOCITIES):
+        topics: dict[int, list[str]] = {}
+        for name in kind:
+            if name in outputs:
+                topics.setdefault(id(outputs[name].topic), []).append(name)
+        for mates in topics.values():
+            if len({moves.get(name) for name in mates}) > 1:
+                kept = {name: lag for name, lag in kept.items() if name not in mates}
+    return kept
 
 
 def turned_anew(

@@ -194,7 +194,9 @@ def test_whatever_stops_an_import_names_the_log(tmp_path, monkeypatch):
     """Here records too short to be moved by what kinematics asks for."""
     path = tmp_path / "flight.ulg"
     path.write_bytes(ulog())
-    monkeypatch.setattr(drafting, "aligned", lambda *_: ({"phi": 100.0}, ()))
+    monkeypatch.setattr(
+        drafting, "aligned", lambda *_: (dict.fromkeys(("phi", "theta", "psi"), 100.0), ())
+    )
     with pytest.raises(ValueError, match=rf"^{re.escape(str(path))}: .*record"):
         import_log(path, tmp_path / "draft")
 

@@ -6,7 +6,7 @@ import pytest
 from casid.logs.conventions import BODY, derived, find_channels
 from casid.logs.sources import source_of
 from casid.logs.topics import Log, Topic
-from casid.logs.velocities import turned_anew
+from casid.logs.velocities import together, turned_anew
 
 LATE, SPEED = 0.05, 20.0  # s, m/s
 
@@ -43,6 +43,17 @@ def test_velocities_turned_by_late_attitudes_are_turned_by_those_of_their_instan
     assert set(found) <= {"u", "v", "w"}
     # A line between two attitudes errs by h²/8 of ψ'': 1.1e-5 rad, and 20 m/s times as much.
     np.testing.assert_allclose(found["v"].values[inside], true[inside], atol=3e-4)
+
+
+def test_channels_of_one_message_move_together_or_not_at_all():
+    outputs = outputs_of(flown())  # of which u, v and psi move
+    late = dict.fromkeys(("u", "v"), -LATE)
+    assert together(outputs, late) == late
+    assert together(outputs, {"v": -LATE}) == {}
+    assert together(outputs, late | {"v": 0.03}) == {}
+    assert together(outputs, {"v": -LATE, "psi": -LATE}) == {"psi": -LATE}
+    apart = outputs | {"v": outputs_of(flown())["v"]}  # of another message
+    assert together(apart, {"v": -LATE}) == {"v": -LATE}
 
 
 def test_velocities_of_the_attitudes_own_lateness_stay():
