@@ -252,11 +252,11 @@ def test_a_stretch_beyond_a_jump_that_is_passed_over_has_nothing_better(monkeypa
 
     monkeypatch.setattr(search.Reduced, "least", least)
     monkeypatch.setattr(search.Search, "_inside", inside)
-    for seed in range(3):
+    for seed in range(2):
         output_error(Roll(tau=2.6 * H), flights(Roll, "zoh", 1.0, seed), bounds=BOUNDS)
     value, end, best = np.array(ends).T
     assert (value < end).all()
-    assert (value > best).sum() > 2
+    assert (value > best).sum() > 1
 
 
 @pytest.mark.slow
