@@ -27,6 +27,7 @@ from casid.bounds.compare import _of_records
 from casid.bounds.robust import weights
 from casid.errors import unasked, warn
 from casid.shooting.contradiction import OPPOSED
+from casid.shooting.whiteness import FED
 
 OMEGA = np.geomspace(0.2, 8.0, 25)
 
@@ -297,6 +298,15 @@ def test_a_failed_case_is_a_row_with_its_reason():
     assert "failed" in found.to_markdown()
 
 
+@pytest.mark.second
+def test_where_the_first_case_fails_the_others_are_told_of_all_the_same():
+    cases = {"impossible": ["a + b <= -1"], "other": {"b": "< 8.9"}}
+    found = compare_bounds(Positive(), [record()], cases=cases, execution=HERE)
+    assert found.freest == "impossible"
+    assert "constraint 'a + b" in found["impossible"].reason
+    assert found["other"].reason == ""
+
+
 def test_a_wrong_estimator_or_case_is_refused_at_once():
     with pytest.raises(ValueError, match="estimator = 'guess', expected Estimator"):
         compare_bounds(Mixture(), [record()], cases={"free": {}}, estimator="guess")
@@ -369,6 +379,8 @@ def test_what_records_do_to_each_other_under_one_bound_is_told_of_no_case():
     assert _of_records(said, "free") == {"free": ("few data",), "tie": ("few data",)}
     of_all = {"free": (told,), "tie": ("few data", told)}
     assert _of_records({"free": (told,), "tie": ("few data",)}, "free") == of_all
+    fed = f"{FED} (p), and later inputs"
+    assert _of_records({"free": (fed,), "tie": ()}, "free") == {"free": (fed,), "tie": (fed,)}
 
 
 @pytest.mark.second

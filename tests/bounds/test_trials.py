@@ -20,6 +20,7 @@ from casid import (
     parameter,
 )
 from casid.bounds.trials import Fits, aicc, spelt_out, work
+from casid.errors import asked, unasked
 from casid.jobs.transport import refer
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
@@ -152,3 +153,35 @@ def test_a_trial_of_other_data_options_or_code_has_another_key(monkeypatch):
             patch.setattr(f"casid.bounds.trials.{name}", other)
             keys.append(key())
     assert len(set(keys)) == len(keys)
+
+
+class ListeningOutputError(OutputError):
+    """Says whether it was to ask its data."""
+
+    def fit(self, *given, near=None, **settings):
+        heard.append(asked())
+        with unasked():
+            return super().fit(*given, near=near, **settings)
+
+
+heard = []
+
+
+@pytest.mark.second
+def test_what_nobody_is_to_ask_is_asked_unless_a_fit_nearby_has_succeeded():
+    data = [record()]
+    with unasked():
+        good = OutputError().fit(Mixture(), data)
+    many = Fits(Mixture(), data, ListeningOutputError(), (), None, Execution())
+    (case,) = many.cases({"free": {}})
+    starts = {"model": Mixture(), "good": good, "poor": replace(good, success=False)}
+    jobs = {
+        name: [many.job(case, start, asked=own) for own in (True, False)]
+        for name, start in starts.items()
+    }
+    assert len({job.key for each in jobs.values() for job in each}) == 6
+    for name, both in jobs.items():
+        heard.clear()
+        for job in both:
+            work(job.payload, None)
+        assert heard == [True, name != "good"]

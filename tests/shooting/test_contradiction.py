@@ -154,6 +154,7 @@ def sentence(sizes, which, any_=False, far=5.0):
         ([[1], [1.1], [1]], (1,), ""),  # all of one size
         ([[0], [1], [1]], (0,), ""),  # flown with nothing
         ([[0, 1], [2, 0], [1, 0]], (0,), ""),  # alone on its axis
+        ([[1, 1], [2, 0], [1, 0]], (0,), ""),  # more than half of what it moves is
         ([[0, 3], [2, 0], [1, 0]], (2,), "r2 has the smallest inputs"),
     ],
 )

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown, jittered, with_holes
+from truths.swing import Swing, swung
 
 import casid.shooting.newton
+from casid import NonlinearModel
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.newton import Newton, _Descent
+from casid.shooting.nonlinear import NonlinearEvaluator
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import noise_of, starting_programme
 
@@ -68,6 +71,18 @@ def test_newton_begins_within_the_confidence_region_and_ends_where_a_step_leaps(
     # The step of 0.05 gains a tenth of a unit; that of 1.85 is longer than ten of it.
     assert said == [False, False, False, True, True, False, False]
     assert _Descent(n, close=True).close(np.array([0.0]), 9.0)
+
+
+def test_the_curvature_of_a_nonlinear_structure_is_not_exact():
+    def exact(model, records):
+        free = free_parameters(model)
+        curved = isinstance(model, NonlinearModel)
+        evaluator = (NonlinearEvaluator if curved else Evaluator)(free, lay_out(records, 2.0))
+        programme, _ = starting_programme(evaluator, free, "diagonal", True)
+        return Newton(programme)._descent._exact
+
+    assert exact(TRUTH, [flown(seed=1).between(0, 4)])
+    assert not exact(Swing(), [swung()])
 
 
 def test_where_the_curvature_is_not_exact_steps_that_do_not_shrink_end_newtons():
