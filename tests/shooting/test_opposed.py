@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
+from scipy.special import ndtri
+from scipy.stats import norm, t
 from truths.structures import Banking
 
+import casid.shooting.opposed
 from casid import DataWarning, Record, output_error
 from casid.errors import unasked
 from casid.free import free_parameters
@@ -116,6 +119,8 @@ def test_two_records_accuse_each_other_where_their_own_estimates_leave_noise(lag
     said = told(records)[1]
     assert len(said) == (not lag)
     assert lag or ": flight 0 and flight 1 (chi" in said[0] or ": flight 1 and flight 0" in said[0]
+    # A prior may be what one of two contradicts.
+    assert lag or told(records, priors={"Lp": (-4.0, 5.0)})[1] == []
 
 
 @pytest.mark.second
@@ -147,3 +152,35 @@ def test_chance_is_told_as_seldom_as_said(colour, lag, loud):
         assert said == []
         wide += len(fit.notes.record_scores) > 0
     assert wide <= (100 if lag else 1)
+
+
+def scatter(records):
+    """Covariances of the scores of every record at the estimate of all."""
+    fit = output_error(Banking(), records, domain="frequency", R=R)
+    return np.array([each.S for each in at(fit, records)[0].records.sources])
+
+
+@pytest.mark.filterwarnings("ignore:.* rests on few lines")
+@pytest.mark.parametrize(("colour", "more"), [(0.0, 1.0), (0.9, casid.shooting.opposed.MORE)])
+def test_where_spectra_are_steep_scores_scatter_more(colour, more, monkeypatch):
+    records = flown([10.0] * 3, seed=6, colour=colour)
+    with unasked():
+        found = scatter(records)
+        monkeypatch.setattr(casid.shooting.opposed, "COLOURED", np.inf)
+        np.testing.assert_allclose(found, more * scatter(records), rtol=1e-9)
+
+
+def test_of_few_lines_scores_scatter_as_students_t(monkeypatch):
+    records = flown([10.0] * 3, seed=7)
+    with unasked():
+        found = scatter(records)
+        monkeypatch.setattr(
+            casid.shooting.opposed, "stdtrit", lambda free, p: np.full(len(free), ndtri(p))
+        )
+        normal = scatter(records)
+    wider = np.sqrt(np.diagonal(found / normal, axis1=1, axis2=2))
+    np.testing.assert_allclose(found, normal * wider[:, :, None] * wider[:, None], rtol=1e-9)
+    # By Student's t of no more degrees of freedom than there are numbers on all lines, and of one.
+    chance = casid.shooting.opposed.SELDOM / len(records) / 2
+    least, most = (t.isf(chance, n) / norm.isf(chance) for n in (3 * 2 * len(T), 1))
+    assert least < wider.min() <= wider.max() < most
