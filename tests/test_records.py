@@ -23,6 +23,7 @@ from casid.records import (
     standard_deviations,
     steps_told,
     stretches,
+    twins_told,
 )
 
 
@@ -193,3 +194,13 @@ def test_what_inputs_do_between_samples_is_that_of_all_records():
     one = Record(t, np.sin(t)[:, None], np.cos(t)[:, None], ("a",), ("y",), hold="zoh")
     assert common_hold([one, one]) == "zoh"
     assert common_hold([one, replace(one, hold="foh")]) is None
+
+
+def test_channels_of_the_same_samples_are_told_unless_they_rest():
+    t, rng = np.arange(50) / 50, np.random.default_rng(1)
+    p = np.where(np.arange(50) % 7 == 0, np.nan, rng.standard_normal(50))
+    y = np.column_stack([p, p, np.zeros((50, 2))])
+    record = Record(t, rng.standard_normal((50, 1)), y, ("lat",), ("p", "p2", "r", "phi"))
+    assert twins_told(record) == ["p2 and p are the same samples: one column read twice?"]
+    other = replace(record, y=y + 0.1 * (np.arange(4) == 1))
+    assert twins_told([record, other]) == []  # in one of two records only

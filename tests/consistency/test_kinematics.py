@@ -13,6 +13,7 @@ from truths.places import EXAMPLES
 from truths.roll_study import write_study
 
 from casid import DataWarning, outliers, read_csv
+from casid.consistency import kinematics
 from casid.consistency.apart import Apart
 from casid.consistency.kinematics import _clocks_differ, kinematic_check
 from casid.exchange.formats import read_table, write_table
@@ -50,6 +51,14 @@ def test_no_place_of_accelerometers_is_told_beside_attitudes_and_rates_of_differ
     assert _clocks_differ(Apart(left={"p": (-0.03, 0.001), "ay": fine}))
     assert not _clocks_differ(Apart(left={"p": fine, "ay": late}))
     assert not _clocks_differ(Apart(late={"u": late}))
+
+
+@pytest.mark.second
+@pytest.mark.parametrize("late", [0.0, 0.06])
+def test_a_place_is_told_of_one_clock_alone(late, monkeypatch):
+    monkeypatch.setattr(kinematics, "misplaced", lambda *_: ("accelerometers elsewhere",))
+    check = kinematic_check(bodies.flown(3, "slow", dict.fromkeys(bodies.ATTITUDES, late)))
+    assert ("accelerometers elsewhere" in check.headline()) == (late == 0.0)
 
 
 # ---- truth known -------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import click.testing
@@ -378,6 +379,14 @@ def test_velocities_are_turned_anew_only_where_attitudes_are_late_then_too(monke
     slopes = [np.polyfit(true["r"][inside], (v - true["v"])[inside], 1)[0] for v in (raw, anew)]
     # 12 m/s times 50 ms; noise of 0.05 m/s in 2000 samples.
     assert slopes == pytest.approx([0.6, 0.0], abs=0.05)
+
+
+@pytest.mark.second
+def test_part_of_a_message_moves_only_where_a_logger_stamps_channels_one_by_one(monkeypatch):
+    log, _, _ = autopilot(0, 0.0)
+    part = {"p": 0.03}
+    assert in_line(log, monkeypatch, part)[1] == {}
+    assert in_line(replace(log, kind="TDMS file"), monkeypatch, part)[1] == part
 
 
 @pytest.mark.campaign
