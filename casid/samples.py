@@ -335,7 +335,8 @@ def _check_time(record: str, t: Array, values: Array) -> None:
     steps, known = np.diff(t), np.isfinite(values)
     moves, differ = bool((steps > 0).any()), known[1:] & known[:-1] & (values[1:] != values[:-1])
     stands = (steps == 0) & (differ.any(axis=1) | (not moves))
-    if few := stands.sum() <= UNLIKE * len(t) and moves:
+    few = moves and stands.sum() <= UNLIKE * len(t)
+    if few:
         stands[:] = False  # the first is kept, as of samples close together (`tidied`)
     if (back := np.flatnonzero((steps < 0) | stands)).size:
         k = int(back[0]) + 1

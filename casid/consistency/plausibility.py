@@ -11,8 +11,8 @@ from casid.records import still
 
 FEWEST = 16  # samples of a record
 USUAL, SLOW, NEVER = 0.02, 1.0, 10.0  # sampling intervals [s]: of most, of hardly any, of no flight
-FASTEST, KILOHERTZ = 1.1e-4, 1.1e-3  # s: a shorter interval is no flight's; is, of a flight that
-SHORTEST = 0.1  # s lasts: none as long as this is flown in less
+FASTEST = 1.1e-4  # s: a shorter sampling interval is no flight's
+KILOHERTZ, SHORTEST = 1.1e-3, 0.1  # s: nor is one below the first in a record below the second
 TIMES = ("s", "ms", "us", "ns")  # units that clocks count in
 FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 6 * np.pi}  # rad: three turns
 TUMBLING = 6.0  # rad/s, a full turn a second

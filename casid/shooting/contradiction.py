@@ -30,7 +30,6 @@ FAR = 2.0  # errors by noise alone that an estimate moves without the record: th
 MORE = 2.0  # times the variance of scores that residuals show which are not white
 ALIKE = 0.9  # cosine of the inputs' sizes in two records that move them alike
 RATIO, SAME = 1.2, 1.05  # of two amplitudes that differ, of those that do not
-GONE = 1e-10  # of the largest variance, or information, in units of their sizes: none
 
 OPPOSED = "output error: records contradict each other"  # how what is told of it begins
 
@@ -76,11 +75,7 @@ def contradiction(P: Array, residuals: Sequence[Array], along: Slopes) -> Discor
     move and determined, ``residuals`` (N, ny) those of every record, whitened, 0 where missing;
     ``along`` has their derivatives, as of `casid.shooting.uncertainty.coloured_covariance`.
     """
-    size = np.sqrt(np.diag(P))
-    unit = np.where(size > 0, size, 1.0)
-    values, axes = np.linalg.eigh(P / np.outer(unit, unit))
-    known = values > GONE * values.max(initial=0.0)
-    root = unit[:, None] * axes[:, known] * np.sqrt(values[known])  # P = root rootᵀ
+    root, _ = uncertainty.coordinates(P)
     scores = _OwnScores()
     summed(residuals, along(root), [scores])
     white = [Source(g, F, F) for g, F in scores.found]
@@ -153,12 +148,10 @@ def _left_alone(
     """
     found = []
     for r, pieces, (g, F) in zip(residuals, along, own, strict=True):
-        values, axes = np.linalg.eigh(F)
-        known = values > GONE * values.max(initial=0.0)
-        step = axes[:, known] @ (axes[:, known].T @ g / values[known])
+        step, directions = uncertainty.own_step(g, F)
         left = r - np.concatenate([piece @ step for piece in pieces])
         samples = int(np.count_nonzero(r))
-        free = max(samples - int(known.sum()), 1)
+        free = max(samples - directions, 1)
         found.append(np.where(r != 0, left * np.sqrt(samples / free), 0.0))
     return found
 

@@ -35,9 +35,8 @@ from casid.shooting.spectrum import (
     leverages,
     smoothed,
 )
-from casid.shooting.uncertainty import larger
+from casid.shooting.uncertainty import coordinates, larger, own_step
 
-GONE = 1e-10  # of the largest variance, or information, in units of their sizes: none
 COLOURED = 3.0  # rise of a spectrum from which few lines miss its shape and leak into others
 MORE = 2.0  # times the variance of scores where it does
 FEWEST = 1.0  # degrees of freedom of noise, that count, lest a factor be infinite
@@ -91,7 +90,7 @@ def opposed(
 
     ``powers`` (K, ny) are the spectra by which residuals are weighed.
     """
-    root, inverse = _roots(P)
+    root, inverse = coordinates(P)
     rows = [np.concatenate([part for _, part in each.moved(root)]) for each in residuals]
     own = [(root.T @ each.g, root.T @ each.F @ root) for each in residuals]
     alone = [_alone(*each) for each in zip(lines, residuals, powers, rows, own, strict=True)]
@@ -117,25 +116,11 @@ def opposed(
     return Opposed(Records(sources, root), inverse, errors, alone)
 
 
-def _roots(P: Array) -> tuple[Array, Array]:
-    """(nf, k), P = root rootᵀ, and its inverse (k, nf)."""
-    size = np.sqrt(np.diag(P))
-    unit = np.where(size > 0, size, 1.0)
-    values, axes = np.linalg.eigh(P / np.outer(unit, unit))
-    known = values > GONE * values.max(initial=0.0)
-    axes, size = axes[:, known], np.sqrt(values[known])
-    return unit[:, None] * axes * size, (axes / size).T / unit
-
-
 def _alone(
     lines: Lines, residual: Residual, power: Array, rows: Array, own: tuple[Array, Array]
 ) -> Residual:
     """The residuals that a record's own estimate leaves, to first order."""
-    g, F = own
-    values, axes = np.linalg.eigh(F)
-    known = values > GONE * values.max(initial=0.0)
-    step = -axes[:, known] @ (axes[:, known].T @ g / values[known])
-    moved = rows @ step  # halves (K, 2, ny), weighed
+    moved = rows @ -own_step(*own)[0]  # halves (K, 2, ny), weighed
     moved = (moved[:, 0] + 1j * moved[:, 1]) / np.sqrt(lines.weight)[:, None]
     return replace(residual, E=residual.E - moved * np.sqrt(power))
 

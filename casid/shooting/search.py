@@ -242,11 +242,10 @@ class Search:
         if guess is not None and _leads_back(loose, outcome.solution.x, guess, side.a):
             return outcome.failed("it is best where the outcome's own stretch begins")
         programme = loose.balanced(point if guess is None else loose.unpack(guess.x))
-        rounds = outcome.rounds + 1
-        least = Reduced(programme, self.options, "").least
+        rounds, there = outcome.rounds + 1, programme.pack(point)
         if guess is not None:
             solution = self._near(programme, guess.carried(loose, programme), rounds, self.options)
-        elif least(programme.pack(point)) > outcome.cost + GAIN:
+        elif Reduced(programme, self.options, "").least(there) > outcome.cost + GAIN:
             return outcome.failed("all of its stretch is less likely")
         else:
             warm = _carried(outcome.solution, last, programme)

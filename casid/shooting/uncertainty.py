@@ -250,11 +250,7 @@ def coloured_covariance(
     after piece, so that memory does not grow with the records.
     """
     C = residual_covariance(residuals)
-    size = np.sqrt(np.diag(covariance))[:, None]  # of which one may be a million times the others
-    unit = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / (unit * unit.T))
-    known = values > GONE * values.max(initial=0.0)
-    root = unit * vectors[:, known] * np.sqrt(values[known])  # P = root rootᵀ
+    root, inverse = coordinates(covariance)
     process, k = ProcessScores(C, root.shape[1]), root.shape[1]
     blocks, samples = max(BLOCKS * k, FEWEST), sum(len(r) for r in residuals)
     length, records = samples // (PARTS * blocks), NO_SCORES
@@ -263,12 +259,32 @@ def coloured_covariance(
     K = process.total()
     if together is not None:
         g, H = together.records()
-        inverse = vectors[:, known] / np.sqrt(values[known]) / unit
-        records = g @ inverse.T, inverse @ H @ inverse.T
+        records = g @ inverse, inverse.T @ H @ inverse
         K = larger(K, together.K) if PARTS * length >= len(C) else K
     elif length == 0:
         K = larger(K, np.eye(len(K)))
     return np.asarray(root @ K @ root.T), records
+
+
+def coordinates(P: Array) -> tuple[Array, Array]:
+    """(nf, k) by which the parameters follow from coordinates whose information is I; its inverse.
+
+    ``P`` (nf, nf) = root rootᵀ is the inverse information; directions without variance are left
+    out.
+    """
+    size = np.sqrt(np.diag(P))  # of which one may be a million times the others
+    unit = np.where(size > 0, size, 1.0)
+    values, axes = np.linalg.eigh(P / np.outer(unit, unit))
+    known = values > GONE * values.max(initial=0.0)
+    axes, size = axes[:, known], np.sqrt(values[known])
+    return unit[:, None] * axes * size, (axes / size).T / unit
+
+
+def own_step(g: Array, F: Array) -> tuple[Array, int]:
+    """F⁻¹ g (k,) in the directions that an information F (k, k) tells of, and their number."""
+    values, axes = np.linalg.eigh(F)
+    known = values > GONE * values.max(initial=0.0)
+    return axes[:, known] @ (axes[:, known].T @ g / values[known]), int(known.sum())
 
 
 def larger(A: Array, B: Array) -> Array:

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
+from truths.structures import Banking
 
 from casid import (
     DataWarning,
-    Model,
     ModelError,
     NonlinearModel,
     OutputError,
     Record,
-    Rows,
     Scalar,
     StateSpace,
     output_error,
@@ -27,23 +26,6 @@ from casid.shooting.sensitivity import Point
 
 FLOWN = (0.02, -0.05)  # constants in p' of the two records
 SIGMA = 0.003
-
-
-class Roll(Model):
-    """p' = Lp p + Llat lat, and the roll angle."""
-
-    states = ("p", "phi")
-    inputs = ("lat",)
-    outputs = ("p", "phi")
-
-    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
-    Llat: Scalar = parameter(default=10.0, lower=0.0, upper=60.0, unit="rad/s^2")
-
-    def A(self) -> Rows:
-        return [[self.Lp, 0], [1, 0]]
-
-    def B(self) -> Rows:
-        return [[self.Llat], [0]]
 
 
 def flown(constants=FLOWN, seed=0):
@@ -59,19 +41,19 @@ def flown(constants=FLOWN, seed=0):
 
 
 def test_constants_of_states_are_found_in_every_record():
-    fit = OutputError(state_biases=("p",), biases=False).fit(Roll(), flown())
+    fit = OutputError(state_biases=("p",), biases=False).fit(Banking(), flown())
     np.testing.assert_allclose(fit.state_biases[:, 0], FLOWN, atol=5e-4)
     for name, true in (("Lp", -2.2), ("Llat", 12.0)):
         assert abs(fit[name].value - true) < 3 * fit[name].std_error
     assert fit.initial_states.shape == (2, 2)
-    assert type(fit.model) is Roll
+    assert type(fit.model) is Banking
     np.testing.assert_array_less(np.abs(fit.biases), 2e-4)
 
 
 class RollWritten(NonlinearModel):
-    """`Roll` as equations, and as a class that asks its own states."""
+    """`Banking` as equations, and as a class that asks its own states."""
 
-    states, inputs, outputs = Roll.states, Roll.inputs, Roll.outputs
+    states, inputs, outputs = Banking.states, Banking.inputs, Banking.outputs
 
     Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
     Llat: Scalar = parameter(default=10.0, lower=0.0, upper=60.0, unit="rad/s^2")
@@ -84,7 +66,7 @@ class RollWritten(NonlinearModel):
 @pytest.mark.second
 def test_constants_of_a_nonlinear_structure_are_those_of_the_linear_one():
     estimator = OutputError(state_biases=("p",), biases=False)
-    linear, fit = (estimator.fit(model, flown()) for model in (Roll(), RollWritten()))
+    linear, fit = (estimator.fit(model, flown()) for model in (Banking(), RollWritten()))
     assert type(fit.model) is RollWritten
     assert fit.initial_states.shape == (2, 2)
     np.testing.assert_allclose(fit.state_biases, linear.state_biases, atol=2e-6)
@@ -94,7 +76,7 @@ def test_constants_of_a_nonlinear_structure_are_those_of_the_linear_one():
 
 
 def test_what_is_added_is_gradient_and_hessian_of_the_cost():
-    free = free_parameters(Roll(), (), None, {"Lp": (-2.0, 0.5)})
+    free = free_parameters(Banking(), (), None, {"Lp": (-2.0, 0.5)})
     free = replace(free, initial={"p": (0.1, 0.2), "phi": ("trim", 0.5)}, unbiased=("p", "phi"))
     begun = [
         in_totals(replace(record, trim={"phi": phi}), free.initial)
@@ -150,7 +132,7 @@ def test_outputs_named_alone_have_biases():
         for record in flown((0.0, 0.0))
     ]
     known = {"phi": (0.0, 1e-4), "p": (0.0, 1e-4)}
-    fit = OutputError(biases=("phi",), initial=known).fit(Roll(), records)
+    fit = OutputError(biases=("phi",), initial=known).fit(Banking(), records)
     np.testing.assert_allclose(fit.biases[:, 1], 0.03, atol=1e-3)
     np.testing.assert_array_less(np.abs(fit.biases[:, 0]), 1e-9)
     np.testing.assert_array_less(np.abs(fit.initial_states), 4e-4)
@@ -172,7 +154,7 @@ def test_an_output_without_a_bias_has_none_however_small_the_noise(sigma):
     error = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
     record = Record(t, u[:, None], y.reshape(-1, 2), ("lat",), ("p", "phi"))
     by = OutputError(biases=("phi",), initial={"phi": (0.0, 1e-9)}, R=np.eye(2) * sigma**2)
-    fit = by.fit(Roll(), record)
+    fit = by.fit(Banking(), record)
     for name, value, of in zip(("Lp", "Llat"), found.x, error, strict=False):
         assert abs(fit[name].value - value) < 1e-2 * of
         assert fit[name].cramer_rao == pytest.approx(of, rel=1e-3)
@@ -180,9 +162,9 @@ def test_an_output_without_a_bias_has_none_however_small_the_noise(sigma):
 
 def test_prior_and_records_are_weighed_by_their_information():
     records, R = flown((0.0, 0.0)), SIGMA**2 * np.eye(2)
-    alone = OutputError(R=R).fit(Roll(), records)
+    alone = OutputError(R=R).fit(Banking(), records)
     prior, std = alone["Lp"].value - 0.004, 1.5 * alone["Lp"].cramer_rao
-    fit = OutputError(R=R, priors={"Lp": (prior, std)}).fit(Roll(), records)
+    fit = OutputError(R=R, priors={"Lp": (prior, std)}).fit(Banking(), records)
     F = np.linalg.inv(alone.notes.cramer_rao)
     posterior = np.linalg.inv(F + np.diag([std**-2, 0.0]))  # Bayes, for a likelihood that is normal
     values = np.array([alone[name].value for name in alone.free_names])
@@ -197,14 +179,14 @@ def test_prior_and_records_are_weighed_by_their_information():
 @pytest.mark.second
 def test_a_prior_that_the_records_contradict_is_told_and_one_they_bear_out_is_not(recwarn):
     records, R = flown((0.0, 0.0)), SIGMA**2 * np.eye(2)
-    alone = OutputError(R=R).fit(Roll(), records)["Lp"]
+    alone = OutputError(R=R).fit(Banking(), records)["Lp"]
     near = alone.value + 3.0 * np.hypot(alone.cramer_rao, 0.1), 0.1
-    OutputError(R=R, priors={"Lp": near}).fit(Roll(), records)
+    OutputError(R=R, priors={"Lp": near}).fit(Banking(), records)
     assert not [each for each in recwarn if "contradict" in str(each.message)]
     far = alone.value + 5.0 * alone.cramer_rao * np.sqrt(2), alone.cramer_rao
     # As good as the records: their difference has √2 times the deviation of either.
     with pytest.warns(DataWarning, match=r"contradict the prior Lp.* lies (4\.9|5\.[01]) standard"):
-        OutputError(R=R, priors={"Lp": far}).fit(Roll(), records)
+        OutputError(R=R, priors={"Lp": far}).fit(Banking(), records)
 
 
 @pytest.mark.parametrize(
@@ -222,14 +204,14 @@ def test_a_prior_that_the_records_contradict_is_told_and_one_they_bear_out_is_no
 )
 def test_what_is_said_to_be_known_is_checked(settings, message):
     with pytest.raises(ModelError, match=message):
-        OutputError(**settings).fit(Roll(), flown())
+        OutputError(**settings).fit(Banking(), flown())
 
 
 def test_a_prior_is_of_a_free_parameter_and_within_its_bounds():
     prior = {"Lp": (-2.0, 0.1)}
     for held in ({"fixed": ("Lp",)}, {"bounds": {"Lp": (-2.0, -2.0)}}):
         with pytest.raises(ModelError, match="Lp is fixed and has a prior"):
-            output_error(Roll(), (), priors=prior, **held)
+            output_error(Banking(), (), priors=prior, **held)
     outside = pytest.warns(DataWarning, match=r"prior of Lp, -2, lies outside its bounds \[-1, 0\]")
     with outside, pytest.raises(ValueError, match="no records"):
-        output_error(Roll(), (), priors=prior, bounds={"Lp": (-1.0, 0.0)})
+        output_error(Banking(), (), priors=prior, bounds={"Lp": (-1.0, 0.0)})

@@ -11,8 +11,10 @@ from casid.shooting.uncertainty import (
     bound,
     collinearities,
     coloured_covariance,
+    coordinates,
     correlation,
     eliminate,
+    own_step,
     residual_covariance,
 )
 
@@ -237,3 +239,25 @@ def test_a_parameter_known_far_worse_than_the_others_takes_nothing_from_their_er
     std = np.sqrt(np.diag(coloured_covariance(P, [residuals], lambda A: [[s @ A]])[0]))
     alone = coloured_covariance(P[:2, :2], [residuals], lambda A: [[s[..., :2] @ A]])[0]
     np.testing.assert_allclose(std[:2], np.sqrt(np.diag(alone)), rtol=0.1)
+
+
+def test_in_its_coordinates_a_covariance_is_the_identity_whatever_the_units():
+    rng = np.random.default_rng(4)
+    some = rng.standard_normal((4, 3)) * np.array([1e6, 1.0, 1e-6, 0.0])[:, None]  # the last held
+    some[1] = 2e-6 * some[0]  # two that move together
+    P = some @ some.T
+    root, inverse = coordinates(P)
+    assert root.shape == (4, 2)
+    size = np.sqrt(np.diag(P)) + (np.diag(P) == 0)
+    np.testing.assert_allclose(
+        root @ root.T / np.outer(size, size), P / np.outer(size, size), atol=1e-12
+    )
+    np.testing.assert_allclose(inverse @ root, np.eye(2), atol=1e-12)
+
+
+def test_a_step_goes_where_the_information_tells_of():
+    rows = np.random.default_rng(5).standard_normal((9, 3)) @ np.diag([1.0, 1.0, 0.0])
+    r = np.arange(9.0)
+    step, directions = own_step(rows.T @ r, rows.T @ rows)
+    np.testing.assert_allclose(step, np.linalg.lstsq(rows, r, rcond=None)[0], rtol=1e-9)
+    assert directions == 2
