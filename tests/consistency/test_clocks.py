@@ -79,6 +79,9 @@ def test_attitudes_of_one_source_move_together_unless_some_are_known_to_be_elsew
     apart = aligned(seen({}, late, (*rest, "theta", "psi")), ALL, (), ["lat"])[0]
     assert apart == {"phi": -0.03}
     assert aligned(seen({}, late, rest), ("phi", "p"), ("theta",), ["lat"])[0] == {"phi": -0.03}
+    both = late | {"theta": (0.05, 0.001)}  # of two loggers, each late by itself
+    moves, _ = aligned(seen({}, both, rest), ("phi", "p"), ("theta",), ["lat"])
+    assert moves == {"phi": -0.03, "theta": -0.05}
 
 
 def test_the_logger_without_inputs_moves_as_a_whole(check):

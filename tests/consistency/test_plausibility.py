@@ -74,6 +74,17 @@ def test_time_in_days_is_to_be_converted_unless_it_is_said_to_be_in_seconds():
     check_plausible([flight()], [days], {"t": "s"})
 
 
+def test_a_kilohertz_of_less_than_a_tenth_of_a_second_is_no_flight_and_few_samples_are_few():
+    t = 1e-3 * np.arange(50)
+    moved = np.sin(50 * t)[:, None]
+    record = Record(t, moved, np.hstack([moved, moved]), ("lat",), ("p", "phi"), "short")
+    (doubt,) = unit_doubts(record)
+    assert "50 samples last 0.049 s, as no flight's do" in doubt.said
+    assert not unit_doubts(record.take(np.arange(50) < 10))
+    with pytest.raises(ValueError, match="has 10 samples, at least 16 are wanted"):
+        check_plausible([flight()], [record.take(np.arange(50) < 10)], {})
+
+
 @pytest.mark.parametrize(("dt", "n"), [(1.25e-4, 1000), (1e-3, 101), (2e-3, 20)])
 def test_records_of_fast_loggers_and_short_ones_pass(dt, n):
     t = dt * np.arange(n)

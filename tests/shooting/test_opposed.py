@@ -108,6 +108,9 @@ def test_gains_that_scatter_from_flight_to_flight_are_nobodys_fault_and_widen_er
     np.testing.assert_allclose(
         notes.record_scores.sum(axis=0) * np.sqrt(np.diag(notes.cramer_rao)), 0, atol=0.01
     )
+    prior, _ = told(records, priors={"Lp": (-4.0, 5.0)})  # which may be what they contradict
+    assert not len(prior.notes.record_scores)
+    assert prior["Llat"].std_error < fit["Llat"].std_error / 2
     whole = notes.record_information.sum(axis=0) @ notes.cramer_rao
     np.testing.assert_allclose(whole, np.eye(2), atol=1e-6)
 

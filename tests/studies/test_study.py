@@ -5,7 +5,7 @@ import pytest
 from truths.roll_study import TRIM, write_study
 
 from casid import read_study
-from casid.studies.study import read_records
+from casid.studies.study import read_flights, read_records
 
 
 def test_sticks_in_percent_become_fractions_and_trim_is_removed(tmp_path):
@@ -82,3 +82,13 @@ def test_what_is_in_no_estimate_may_rest_and_what_is_may_not(tmp_path):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match="output 'phi' is constant"):
         read_records(read_study(path))
+
+
+@pytest.mark.filterwarnings("ignore:.*an input moves 0.00")  # as short as all of it is
+def test_time_counted_at_too_small_an_interval_is_to_be_corrected_there(tmp_path):
+    path = write_study(tmp_path, ("[channels.units]", "[channels]\ndt = 4e-5\n\n[channels.units]"))
+    for file in tmp_path.glob("*.csv"):
+        rows = [row.partition(",")[2] for row in file.read_text().splitlines()]
+        file.write_text("\n".join(rows) + "\n")
+    with pytest.raises(ValueError, match=r"time advances 4e-05 s a sample.*; correct dt, in sec"):
+        read_flights(read_study(path))
