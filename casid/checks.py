@@ -115,7 +115,11 @@ def check_asked(band: tuple[float, float] | None, level: float) -> None:
             f"band=({band[0]:g}, {band[1]:g}) rad/s: expected 0 < lowest < highest, frequencies "
             "above 0 rad/s"
         )
-    check_level(level, "chance", 0.01)
+    if not 0 < level <= 1 / 2:
+        raise ValueError(
+            f"level={level:g}: expected the chance of a false alarm, above 0 and at most 0.5, such "
+            "as 0.01"
+        )
 
 
 def check_level(level: float, what: str, usual: float = 0.95) -> None:

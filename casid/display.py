@@ -1,5 +1,6 @@
 """Values that show themselves: a line in a console, a table in a notebook, a figure on demand."""
 
+import math
 import sys
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -16,6 +17,11 @@ def digits_beside_one(value: float, least: int) -> int:
 def counted(n: int, one: str, many: str = "") -> str:
     """A number with its noun: 1 gap, 3 gaps."""
     return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def percent_above(logarithm: float, error: float) -> tuple[float, float]:
+    """A ratio's excess over 1 and its standard error [%], from those of its logarithm."""
+    return 100 * math.expm1(logarithm), 100 * math.exp(logarithm) * error
 
 
 class Shown:

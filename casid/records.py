@@ -181,6 +181,11 @@ def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return first.inputs, first.outputs
 
 
+def same_interval(one: Record, other: Record) -> bool:
+    """Whether both are sampled equally often, to what a `Record` calls equidistant."""
+    return abs(one.dt - other.dt) <= 1e-3 * other.dt
+
+
 def moves(record: Record, name: str) -> bool:
     """Whether a channel's samples differ by more than rounding."""
     values = record.channel(name)

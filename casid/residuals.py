@@ -13,7 +13,7 @@ from casid.arrays import Array, BoolArray
 from casid.closeness import BAND
 from casid.display import Shown, listed
 from casid.prediction import PredictionPlan
-from casid.records import Records, same_channels, standard_deviations, stretches
+from casid.records import Records, same_channels, same_interval, standard_deviations, stretches
 from casid.samples import known_mean
 from casid.threads import one_thread
 from casid.unexplained import unexplained
@@ -113,7 +113,7 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
     same_channels(records)
     first = records[0]
     for record in records:
-        if not record.equidistant or abs(record.dt - first.dt) > 1e-3 * first.dt:
+        if not record.equidistant or not same_interval(record, first):
             raise ValueError(
                 f"record {record.name!r} is not sampled every {first.dt:g} s: resample all records "
                 "alike (Record.resample)"

@@ -13,6 +13,7 @@ from truths.closed_roll import Roll, flown
 import casid
 from casid import Fit, Match, Model, OutputError, Pbsid, SpectralAnalysis, StateSpace
 from casid.checks import fits, hint
+from casid.stages.sufficiency import Sufficiency
 
 WORDS_OF_A_STRUCTURE = {"parameter", "matrix", "spline"}
 FUNCTIONS = [
@@ -88,6 +89,10 @@ REFUSED = [
     (
         lambda: casid.profile_parameters(ROLL, [RECORD], values={"Lp": [1.0]}, level=95),
         "level=95: expected a confidence between 0 and 1",
+    ),
+    (
+        lambda: Sufficiency(level=0.95),
+        "level=0.95: expected the chance of a false alarm, above 0 and at most 0.5, such as 0.01",
     ),
     (
         lambda: casid.compare_bounds(ROLL, [RECORD], cases=["free"], validation=RECORD),

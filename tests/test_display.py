@@ -9,7 +9,7 @@ import pytest
 from truths.shown import record, values
 
 from casid import CampaignProgress, Progress, ProgressLine
-from casid.display import counted, digits_beside_one, in_a_row, instant, listed
+from casid.display import counted, digits_beside_one, in_a_row, instant, listed, percent_above
 
 
 @pytest.mark.parametrize("name", list(values()))
@@ -74,6 +74,13 @@ def test_nouns_follow_their_numbers():
 def test_instants_of_a_clock_since_1970_are_told_apart_in_words(t, said):
     assert instant(t) == said
     assert in_a_row([(t, t, 5)]) == f"; in a row 5 from {said} to {said} s"
+
+
+def test_a_logarithm_and_its_error_are_percents_of_a_ratio():
+    # Twice as large; 1 % more of the logarithm is 2 % more of the ratio.
+    assert percent_above(np.log(2), 0.01) == pytest.approx((100.0, 2.0))
+    draws = 100 * np.expm1(np.random.default_rng(0).normal(0.5, 0.02, 100000))
+    assert percent_above(0.5, 0.02) == pytest.approx((draws.mean(), draws.std()), rel=0.01)
 
 
 def test_progress_is_a_line_of_iterations_and_lines_of_what_has_ended():

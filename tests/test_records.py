@@ -20,11 +20,18 @@ from casid.records import (
     check_moved,
     common_hold,
     same_channels,
+    same_interval,
     standard_deviations,
     steps_told,
     stretches,
     twins_told,
 )
+
+
+def test_clocks_that_differ_by_less_than_a_thousandth_sample_alike():
+    one = record()
+    for ratio, same in ((1.0, True), (1.0009, True), (1.0011, False), (0.9989, False)):
+        assert same_interval(replace(one, t=ratio * one.t), one) is same
 
 
 def test_records_of_one_campaign_share_their_channels():

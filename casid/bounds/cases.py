@@ -345,7 +345,7 @@ def _metric(near: AnyFit | None, names: Sequence[str], scale: Array) -> Array:
     at = np.ix_(*[[names.index(near.free_names[k]) for k in inside]] * 2)
     covariance = near.notes.cramer_rao[np.ix_(inside, inside)] / np.outer(scale, scale)[at]
     if np.isfinite(covariance).all() and np.linalg.cond(covariance) < SINGULAR:  # no ties
-        metric[at] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+        metric[at] = np.linalg.inv(np.linalg.cholesky(covariance))
     return metric
 
 

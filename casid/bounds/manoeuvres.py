@@ -18,7 +18,7 @@ from casid.bounds.replaceable import needed, parts_of
 from casid.bounds.telling import heard, returned, tell
 from casid.bounds.trials import Fits, aicc, run_fits
 from casid.checks import check_known
-from casid.display import Cells, Tabled
+from casid.display import Cells, Tabled, percent_above
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
@@ -172,7 +172,8 @@ class StructureComparison(Tabled):
 
 
 def _above(mean: float, error: float) -> str:
-    return f"{100 * np.expm1(mean):+.0f} % ± {100 * error:.0f} %"
+    excess, error = percent_above(mean, error)
+    return f"{excess:+.0f} % ± {error:.0f} %"
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,8 @@ from casid.tabulation import csv_text, markdown_table
 ROUNDS = 12  # fits for an end, at most
 SETTLED = 1e-2  # of the root's goal: what is left is taken along the tangent
 LEAP = 3.0  # times the distance from the estimate: the longest step
+TIED = 1e-9  # relative eigenvalue of a covariance below which its parameters are tied
+BESIDE = 1e-6  # relative distance of a point from a tie that is none
 FREE = "free"  # name of the job with nothing held
 
 
@@ -56,7 +58,8 @@ class Profile(Shown):
     level : float
         Confidence of the intervals.
     parabola : (n,) array
-        The cost that the Cramér-Rao bound expects at the points; NaN without a likelihood.
+        The cost that the Cramér-Rao bound expects at the points; NaN without a likelihood, beside
+        a tie, and where the estimate is on a bound.
     intervals : mapping
         By parameter, (low, high) where the cost, least over all others, has risen by half the χ²
         quantile with one degree of freedom, times what the variance of the estimate is of its
@@ -242,10 +245,20 @@ def _end(many: Fits, free: AnyFit, name: str, goal: float) -> float:
 
 
 def _parabola(free: AnyFit, names: Sequence[str], points: Array) -> Array:
-    """Cost of the points by the Cramér-Rao bound: ½ dᵀ C⁻¹ d above the least."""
+    """Cost of the points by the Cramér-Rao bound, ½ dᵀ C⁻¹ d above the least.
+
+    NaN where there is none: beside a tie, and of a parameter on a bound, whose slope it lacks.
+    """
+    unknown = np.full(len(points), np.nan)
     if not isinstance(free.notes, OutputErrorNotes) or not set(names) <= set(free.free_names):
-        return np.full(len(points), np.nan)
+        return unknown
     index = [free.free_names.index(name) for name in names]
-    C = free.notes.cramer_rao[np.ix_(index, index)]
-    d = points - np.array([free[name].value for name in names])
-    return np.asarray(free.cost + 0.5 * np.einsum("ni,ij,nj->n", d, np.linalg.pinv(C), d))
+    size = np.sqrt(np.diag(free.notes.cramer_rao)[index])
+    if not np.all(size > 0):
+        return unknown
+    C = free.notes.cramer_rao[np.ix_(index, index)] / np.outer(size, size)
+    d = (points - np.array([free[name].value for name in names])) / size
+    inverse = np.linalg.pinv(C, rcond=TIED, hermitian=True)
+    beside = np.abs(d - d @ inverse @ C).max(axis=1) > BESIDE * np.abs(d).max(axis=1)
+    rise = 0.5 * np.einsum("ni,ij,nj->n", d, inverse, d)
+    return np.where(beside, np.nan, free.cost + rise)

@@ -38,6 +38,7 @@ EDGES = 2  # of x in numerators of transients
 POLES = 2  # of the denominator
 ROUNDS = 8  # Gauss-Newton steps of the denominator
 CERTAIN = 25.0  # twice the gain in log-likelihood that makes a pair of poles more than noise
+RANK = 1e-9  # relative to the largest singular value; less is no direction of the denominator
 NEAREST = 0.05  # abs(A), one at the centre, may fall to within a model
 SHARE = 0.3  # half width, of the frequency
 SPACINGS, EQUATIONS = 5.0, 9.0  # half width in distances of lines, equations per input: at least
@@ -327,7 +328,7 @@ class _LocalFit:
         """A better denominator; None where there is none, or hardly."""
         weight = 1 / np.sqrt(self.variance)
         J = (self.slopes()[1].reshape(*self.E.shape, POLES) * weight[:, None]).reshape(-1, POLES)
-        step = np.linalg.lstsq(J, (self.E * weight).ravel(), rcond=1e-9)[0]
+        step = np.linalg.lstsq(J, (self.E * weight).ravel(), rcond=RANK)[0]
         for share in (1.0, 0.5, 0.25, 0.125):
             other = _LocalFit.of(self.model, self.a + share * step)
             if other is not None:
@@ -360,7 +361,8 @@ class _LocalFit:
         ny = self.E.shape[1]
         whole, left = (part.reshape(len(self.E), ny, POLES) for part in self.slopes())
         J = (left / np.sqrt(self.variance)[:, None]).reshape(-1, POLES)
-        poles = np.linalg.pinv(J.conj().T @ J, hermitian=True)
+        R = np.linalg.pinv(J, rcond=RANK)
+        poles = R @ R.conj().T
         along = np.einsum("jp,mp,mia->ija", root, self.Q.conj(), whole, optimize=True)
         spread = np.einsum("ija,ab,ijb->ij", along, poles, along.conj(), optimize=True)
         return np.asarray(spread.real)

@@ -137,7 +137,7 @@ def kalman_gain(model: Model, records: list[Record]) -> Array:
         P = scipy.linalg.solve_discrete_are(Ad.T, system.C.T, Q * h, R)
     except np.linalg.LinAlgError:  # an unstable mode that no output sees
         return np.zeros((nx, ny))
-    gain = Ad @ P @ system.C.T @ np.linalg.inv(system.C @ P @ system.C.T + R)
+    gain = np.linalg.solve(system.C @ P @ system.C.T + R, system.C @ P @ Ad.T).T
     return np.asarray(np.linalg.solve(held, gain))
 
 

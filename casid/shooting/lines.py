@@ -18,6 +18,7 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
 from casid.intersample import DelayedInput
 from casid.record import Record
+from casid.records import same_interval
 
 LOST = 0.2  # share of an output's samples that may be filled in
 FEWEST = 8  # lines of a record at least
@@ -57,8 +58,7 @@ def _kinds(records: Sequence[Record]) -> list[int]:
     order = sorted(range(len(records)), key=lambda i: (records[i].dt, records[i].duration))
     kinds, last, kind = [0] * len(records), records[order[0]], 0
     for i in order:
-        same = abs(records[i].dt / last.dt - 1) < 1e-3
-        if not same or records[i].duration > ALIKE * last.duration:
+        if not same_interval(records[i], last) or records[i].duration > ALIKE * last.duration:
             kind, last = kind + 1, records[i]
         kinds[i] = kind
     return kinds

@@ -14,6 +14,7 @@ from casid.bounds.manoeuvres import FEWEST, StructureComparison, compared_quietl
 from casid.bounds.replaceable import FEWEST as FEWEST_GROUPS
 from casid.bounds.replaceable import needed, told_unmoved, unmoved
 from casid.checks import checked_fields
+from casid.display import percent_above
 from casid.errors import ConvergenceError, warn
 from casid.fit import AnyFit, Fit
 from casid.frequency.estimation import SpectralAnalysis
@@ -162,8 +163,9 @@ def _beyond(excess: float, error: float) -> str:
     """By how much a candidate's errors exceed the chosen one's, in words if that is not known."""
     if not np.isfinite(excess):
         return "failed"
+    more, scatter = percent_above(excess, error)
     digits = 0 if error >= 0.01 else 1
-    said = f"{100 * np.expm1(excess):+.{digits}f} ± {100 * error:.{digits}f} %"
+    said = f"{more:+.{digits}f} ± {scatter:.{digits}f} %"
     return said if abs(excess) > TIE * error else f"equal within errors ({said})"
 
 
@@ -319,7 +321,11 @@ def chosen(found: StructureComparison) -> StepChoice:
 def _show(found: StepChoice, content: Content) -> Iterable[Section]:  # noqa: ARG001
     said = [Caution(f"Last step {name} failed: {why}", 45) for name, why in found.reasons.items()]
     lead = f"Of {len(found.names)} last steps {found.chosen} was chosen."
-    more: Any = {"values": {"words": WORDS}, "lead": lead, "cautions": tuple(said)}
+    above = {
+        name: percent_above(float(excess), float(error))
+        for name, excess, error in zip(found.names, found.excess, found.error, strict=True)
+    }
+    more: Any = {"values": {"words": WORDS, "above": above}, "lead": lead, "cautions": tuple(said)}
     yield section("choice", "Choice of the last step", 12, found, **more)
 
 

@@ -14,6 +14,7 @@ from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.checks import check_known
 from casid.record import Record
+from casid.records import same_interval
 from casid.samples import known_mean, runs
 from casid.subspace.laguerre import project_blocks, support
 from casid.subspace.predictor import Stack, accumulate, triangular
@@ -220,7 +221,7 @@ def check_samples(records: Sequence[Record]) -> None:
                 f'record {record.name!r} is not equidistant: transform="none" works on samples; '
                 'use transform="laguerre" or resample the record'
             )
-        if abs(record.dt - first.dt) > 1e-3 * first.dt or record.hold != first.hold:
+        if not same_interval(record, first) or record.hold != first.hold:
             raise ValueError(
                 f"records {first.name!r} and {record.name!r} are sampled every {first.dt:g} and "
                 f'{record.dt:g} s ("{first.hold}", "{record.hold}"): transform="none" needs one '

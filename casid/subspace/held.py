@@ -12,6 +12,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace, foh_step, from_zoh
 from casid.record import Hold
+from casid.records import same_interval
 from casid.subspace.campaign import Campaign
 from casid.subspace.prediction import SampledUncertainty, refine_samples
 
@@ -47,7 +48,8 @@ def refine_held(
     """
     records, mask = pieces.records, pieces.mask
     h, hold = records[0].dt, records[0].hold
-    if any(not r.equidistant or r.hold != hold or abs(r.dt - h) > 1e-6 * h for r in records):
+    alike = (r.equidistant and r.hold == hold and same_interval(r, records[0]) for r in records)
+    if not all(alike):
         raise ValueError("prediction errors need equidistant records of one interval and one hold")
     _, I0, I1 = _held(system.A, h, hold)
     free = mask if hold == "zoh" else np.ones_like(mask)

@@ -21,6 +21,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.linear import StateSpace, recursion
 from casid.record import Record
+from casid.records import same_interval
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.candidates import Candidate, Refinement
 from casid.subspace.columns import input_bandwidth
@@ -51,7 +52,7 @@ def are_candidates(campaign: Campaign, projected: StateSpace | None) -> bool:
     first, records = campaign.records[0], campaign.records
     alike = all(
         r.equidistant
-        and abs(r.dt - first.dt) <= 1e-3 * first.dt
+        and same_interval(r, first)
         and r.hold == first.hold
         and np.isfinite(r.y).all()
         for r in records

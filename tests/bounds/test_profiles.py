@@ -8,6 +8,7 @@ import scipy.stats
 from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
 from casid import Execution, ModelError, OutputError, profile_parameters
+from casid.bounds.profiles import _parabola
 
 QUANTILE = scipy.stats.chi2.ppf(0.95, 1)
 HERE = Execution(executor=Inline())
@@ -70,6 +71,23 @@ def test_the_interval_is_exact_when_the_noise_is_estimated_too():
     values = free[1] + half * np.array([-1.5, 1.5])
     found = profile_parameters(Mixture(), record(), values={"b": values}, execution=HERE)
     np.testing.assert_allclose(found.intervals["b"], [free[1] - half, free[1] + half], rtol=1e-4)
+
+
+@pytest.mark.second
+def test_there_is_no_parabola_of_an_estimate_on_its_bound_nor_beside_a_tie():
+    free, covariance, _, _ = solved()
+    sigma = np.sqrt(np.diag(covariance))
+    edge = {"a": (-9.0, free[0] - 2 * sigma[0])}
+    axes = {"a": edge["a"][1] - sigma[0] * np.array([1.0, 0.0])}
+    found = profile_parameters(Mixture(), [record()], values=axes, bounds=edge, **KNOWN)
+    assert np.all(np.isfinite(found.cost))
+    assert np.isnan(found.parabola).all()  # the cost rises by a slope there as well
+
+    tied = np.outer(sigma[:3], sigma[:3]) * np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1]])
+    fit = replace(found.fit, notes=replace(found.fit.notes, cramer_rao=tied))
+    at = np.array([fit["a"].value, fit["b"].value])
+    rise = _parabola(fit, "ab", at + sigma[:2] * np.array([[0, 0], [2, 2], [2, 1]])) - fit.cost
+    np.testing.assert_allclose(rise, [0.0, 2.0, np.nan], atol=1e-9)
 
 
 @pytest.mark.slow
