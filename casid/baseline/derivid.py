@@ -88,6 +88,14 @@ class Derivid:
     priors: Priors | None = None
     solver: SolverOptions = SolverOptions()
 
+    def __post_init__(self) -> None:
+        if self.starts < 1:
+            raise ValueError(f"starts={self.starts}: expected 1 or more")
+        if self.n_omega < 2:
+            raise ValueError(f"n_omega={self.n_omega}: expected 2 frequencies or more")
+        if not 0 <= self.coherence < 1:
+            raise ValueError(f"coherence={self.coherence}: expected 0 or more, below 1")
+
     @one_thread
     def fit(
         self,
@@ -100,11 +108,6 @@ class Derivid:
     ) -> Fit[M, DerividNotes]:
         """The parameters with which a structure fits a measured response best; see `derivid`."""
         began = time.perf_counter()
-        if self.starts < 1 or self.n_omega < 2 or not 0 <= self.coherence < 1:
-            raise ValueError(
-                f"starts={self.starts}, n_omega={self.n_omega}, coherence={self.coherence}: "
-                "expected at least 1, at least 2 and a coherence in [0, 1)"
-            )
         if isinstance(data, Mapping):
             return self._at_conditions(model, data, fixed, bounds)
         frf = _one_response(data)

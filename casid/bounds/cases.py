@@ -82,7 +82,7 @@ class Case:
 def read_cases(
     model: Model,
     specs: Mapping[str, CaseSpec],
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
 ) -> tuple[Case, ...]:
     """Cases from what a user wrote; ``fixed`` and ``bounds`` hold in all of them.

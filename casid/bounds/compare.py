@@ -5,7 +5,7 @@ bounds (Boyd & Vandenberghe, Convex Optimization, section 5.6), so they say whic
 relaxing, and predict by how much the cost would fall.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -142,7 +142,7 @@ def compare_bounds(
     estimator: Estimator = OutputError(),
     validation: Record | Sequence[Record] = (),
     start: Model | AnyFit | None = None,
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> BoundsComparison:

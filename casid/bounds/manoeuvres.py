@@ -193,7 +193,7 @@ def compare_structures(
     *,
     estimator: Estimator | Mapping[str, Estimator] = OutputError(),
     groups: Sequence[Collection[str]] | None = None,
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> StructureComparison:
@@ -232,7 +232,7 @@ def compared_quietly(
     records: Sequence[Record],
     estimator: Estimator | Mapping[str, Estimator],
     groups: Sequence[Collection[str]] | None,
-    fixed: Sequence[str],
+    fixed: Collection[str],
     bounds: Bounds | None,
     execution: Execution,
 ) -> StructureComparison:

@@ -6,7 +6,7 @@ D. G. Watts, Nonlinear Regression Analysis and Its Applications, 1988, chapter 6
 twice the rise are nearly straight lines. The Cramér-Rao bound is the parabola at the estimate.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -119,7 +119,7 @@ def profile_parameters(
     estimator: Estimator = OutputError(),
     level: float = 0.95,
     start: Model | AnyFit | None = None,
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> Profile:

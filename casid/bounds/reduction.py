@@ -4,7 +4,7 @@ M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
 12.3.4: the worst insensitivity or Cramér-Rao figure goes first, and it ends when the fit suffers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -148,7 +148,7 @@ def reduce_structure(
     estimator: Estimator = OutputError(),
     rule: ReductionRule = ReductionRule(),
     start: Model | AnyFit | None = None,
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> Reduction:

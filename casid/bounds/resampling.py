@@ -1,6 +1,6 @@
 """The same fit many times: with other noise, with the residuals shuffled."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any, cast
@@ -132,7 +132,7 @@ def monte_carlo(
     runs: int = 50,
     seed: int = 0,
     estimator: Estimator = OutputError(),
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> Ensemble:
@@ -180,7 +180,7 @@ def bootstrap(
     block: float = 1.0,
     seed: int = 0,
     estimator: Estimator = OutputError(),
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> Ensemble:

@@ -1,6 +1,6 @@
 """The same fit from many starts."""
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +80,7 @@ def multistart(
     spread: float = 0.5,
     seed: int = 0,
     estimator: Estimator = OutputError(),
-    fixed: Sequence[str] = (),
+    fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> Multistart:
@@ -102,8 +102,10 @@ def multistart(
     ValueError, ConvergenceError
         No start, a negative spread; no start led to a minimum.
     """
-    if starts < 1 or not spread >= 0:
-        raise ValueError(f"starts={starts}, spread={spread}: expected 1 or more, 0 or above")
+    if starts < 1:
+        raise ValueError(f"starts={starts}: expected 1 or more")
+    if not spread >= 0:
+        raise ValueError(f"spread={spread}: expected 0 or more")
     many = Fits(model, data, estimator, fixed, bounds, execution)
     (case,) = many.cases({"start": {}})
     free = free_parameters(model, fixed, bounds)

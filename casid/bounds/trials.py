@@ -1,7 +1,7 @@
 """One fit as a job: structure, case, data and estimator in, a fit out, in any process."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -73,7 +73,7 @@ class Fits:
         model: Model,
         data: Data,
         estimator: Estimator,
-        fixed: Sequence[str],
+        fixed: Collection[str],
         bounds: Bounds | None,
         execution: Execution,
     ) -> None:

@@ -358,7 +358,8 @@ def test_a_saved_fit_reads_back(tmp_path):
     ("choices", "message"),
     [
         ({"starts": 0}, "starts=0"),
-        ({"coherence": 1.0}, "coherence in"),
+        ({"n_omega": 1}, "n_omega=1: expected 2"),
+        ({"coherence": 1.0}, "coherence=1.0: expected 0 or more, below 1"),
         ({"pairs": [("p", "lon")]}, r"no pair \('p', 'lon'\)"),
         ({"pairs": []}, "pairs is empty"),
         (

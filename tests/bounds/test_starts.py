@@ -20,7 +20,13 @@ def test_all_starts_of_a_linear_problem_end_in_one_minimum():
     np.testing.assert_array_equal(again.costs, found.costs)
 
 
-@pytest.mark.parametrize("settings", [{"starts": 0}, {"spread": -1.0}])
-def test_no_start_and_no_spread_are_refused(settings):
-    with pytest.raises(ValueError, match="expected 1 or more, 0 or above"):
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"starts": 0}, "^starts=0: expected 1 or more$"),
+        ({"spread": -1.0}, "^spread=-1.0: expected 0 or more$"),
+    ],
+)
+def test_no_start_and_no_spread_are_refused(settings, said):
+    with pytest.raises(ValueError, match=said):
         multistart(Mixture(), record(), **settings)
