@@ -1,6 +1,7 @@
 """Local rational models: exact ones recovered, errors that hold, in the band's edges too."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from casid.frequency.local import (
     _at_all,
     _between_samples,
     _half_width,
+    _LocalFit,
     local_response,
 )
 from casid.frequency.transforms import Lines
@@ -53,6 +55,21 @@ def test_a_rational_response_is_recovered_beside_the_transients_of_every_record(
     G, error, *_ = _at_all([lines] * len(omega), omega, QUADRATIC)
     np.testing.assert_allclose(G, response(omega), atol=1e-6)
     assert error.max() < 1e-6
+
+
+def test_a_denominator_that_is_hardly_told_has_the_error_of_its_orthogonal_columns():
+    rng = np.random.default_rng(4)
+    m, ny = 40, 2
+    first, other = (rng.standard_normal((m, ny)) + 1j * rng.standard_normal((m, ny)) for _ in "ab")
+    left = np.stack([first, first + 1e-6 * other], axis=2)
+    Q = np.linalg.qr(rng.standard_normal((m, 1)) + 0j)[0]
+    whole = left + np.einsum("ma,ip->mip", Q, rng.standard_normal((ny, 2)))
+    fit = SimpleNamespace(E=np.zeros((m, ny)), variance=np.ones(ny), Q=Q,
+                          slopes=lambda: (whole.reshape(m, -1), left.reshape(m, -1)))  # fmt: skip
+    found = _LocalFit._of_poles(fit, np.ones((1, 1)))
+    inverse = np.linalg.inv(np.linalg.qr(left.reshape(-1, 2))[1])  # of the triangular factor
+    along = np.einsum("ma,mip->aip", Q.conj(), whole)[0]
+    np.testing.assert_allclose(found[:, 0], np.sum(np.abs(along @ inverse) ** 2, axis=1), rtol=1e-4)
 
 
 def test_the_random_error_is_the_scatter_over_realisations_at_a_resonance_too():
