@@ -1,8 +1,9 @@
 """What a study wrote, taken as it lies if nothing has changed that it was made of."""
 
+import os
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -112,6 +113,25 @@ def _digest(file: Path) -> str:
     return sha256(file.read_bytes()).hexdigest()
 
 
+def _from_its_folder(study: Study) -> Study:
+    """The same with its paths as seen from its folder, wherever that lies and however it is named.
+
+    The working folder is no part of what a study says.
+    """
+    folder = study.path.parent.resolve()
+
+    def seen(files: Iterable[Path]) -> tuple[Path, ...]:
+        places = (file.parent.resolve() / file.name for file in files)
+        return tuple(Path(os.path.relpath(place, folder)) for place in places)
+
+    roles = {
+        role: replace(each, files=seen(each.files), patterns=seen(each.patterns))
+        for role, each in study.roles.items()
+    }
+    path, model_file = seen([study.path, study.model_file])
+    return replace(study, roles=roles, path=path, model_file=model_file)
+
+
 def _store(study: Study) -> Store:
     return Store(study.output, (Written, Timing, Verdict))
 
@@ -121,7 +141,8 @@ def origin(study: Study) -> str:
 
     ValueError: one of them is gone, or no file.
     """
-    said = [getattr(study, each.name) for each in fields(study) if each.name not in APART]
+    from_its_folder = _from_its_folder(study)
+    said = [getattr(from_its_folder, each.name) for each in fields(study) if each.name not in APART]
     flown = [file for each in study.roles.values() for file in each.files]
     second = study.channels.second
     flown += [] if second is None else [second.beside(file) for file in flown]

@@ -1,5 +1,6 @@
 """A study that has not changed is taken as it lies: nothing computed, drawn or written again."""
 
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,6 +10,7 @@ from truths.roll_study import write_study
 
 from casid import read_study, run_study
 from casid.studies.keeping import Watch
+from casid.studies.written import origin
 from casid.values import digest
 
 
@@ -29,6 +31,22 @@ def test_a_file_that_is_gone_since_the_study_was_read_is_named(tmp_path, gone, f
     lost.unlink()
     with pytest.raises(ValueError, match=f"{lost.name}: cannot read it as .*; check the path"):
         run_study(study, fresh=fresh)
+
+
+def test_a_study_is_the_same_however_its_path_is_spelled_and_wherever_it_lies(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    path = write_study(tmp_path / "a")
+    there = origin(read_study(path))
+    for folder, spelled in ((tmp_path, "a/study.toml"), (tmp_path / "a" / "b", "../study.toml")):
+        monkeypatch.chdir(folder)
+        assert origin(read_study(spelled)) == there
+    shutil.copytree(tmp_path / "a", tmp_path / "moved")
+    assert origin(read_study(tmp_path / "moved" / "study.toml")) == there
+    flight = next(tmp_path.glob("a/*.csv"))
+    flight.write_text(flight.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    assert origin(read_study(path)) != there
 
 
 @pytest.mark.slow
