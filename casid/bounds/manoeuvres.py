@@ -35,6 +35,7 @@ from casid.validation import validate
 SURE = 0.9  # one-sided, that a candidate is worse than the best
 FEWEST = 3  # manoeuvres, for an error of the mean over them
 NOISE = 0.9  # of the noise's power, which is not known exactly, is taken from errors' squares
+HIDDEN = ", at least: errors are below the noise"
 TOP = 0.75  # of the highest frequency, from where residuals are noise
 
 
@@ -106,13 +107,22 @@ class StructureComparison(Tabled):
 
     def _size(self, errors: Array) -> Array:
         """Logarithm (candidates,) of errors (candidates, manoeuvres, ny), infinite of failures."""
-        told = ~np.isnan(errors)
-        square = np.sum(errors**2, axis=1, where=told) / np.maximum(told.sum(axis=1), 1)
-        own = np.maximum(square - NOISE * self.noise**2, (1 - NOISE) * square)
-        logarithm, some = np.log(np.maximum(own, 1e-300)) / 2, told.any(axis=1)
-        count = some.sum(axis=1)
+        own, some = self._own(errors), ~np.isnan(errors).all(axis=1)
+        logarithm, count = np.log(np.maximum(own, 1e-300)) / 2, some.sum(axis=1)
         size = np.sum(logarithm, axis=1, where=some) / np.maximum(count, 1)
         return np.asarray(np.where(np.isfinite(size) & (count > 0), size, np.inf))
+
+    def _own(self, errors: Array) -> Array:
+        """Mean squares (candidates, ny) over the manoeuvres, most of the noise taken off."""
+        told = ~np.isnan(errors)
+        square = np.sum(errors**2, axis=1, where=told) / np.maximum(told.sum(axis=1), 1)
+        return np.asarray(np.maximum(square - NOISE * self.noise**2, (1 - NOISE) * square))
+
+    @property
+    def hidden(self) -> bool:
+        """Whether the noise that is left, which makes errors alike, is most of the best one's."""
+        own = self._own(self.errors)[self.names.index(self.best)]
+        return bool(np.median((1 - NOISE) * self.noise**2 / np.maximum(own, 1e-300)) > 1 / 2)
 
     @property
     def simplest(self) -> str:
@@ -152,7 +162,8 @@ class StructureComparison(Tabled):
         mean, error = self.excess
         likelier = self.aicc[k] - self.aicc[best]
         beside = f", AICc {likelier:+.0f}" if np.isfinite(likelier) else ""
-        return f"{told} ({_above(mean[k], error[k])}{beside})"
+        least = HIDDEN if self.hidden else ""
+        return f"{told} ({_above(mean[k], error[k])}{beside}{least})"
 
     def cells(self) -> Cells:
         """Heading, and one row a candidate: "failed" of one that did on some manoeuvre."""

@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.manoeuvres import FEWEST, StructureComparison, compared_quietly
+from casid.bounds.manoeuvres import FEWEST, HIDDEN, StructureComparison, compared_quietly
 from casid.bounds.replaceable import FEWEST as FEWEST_GROUPS
 from casid.bounds.replaceable import needed, told_unmoved, unmoved
 from casid.checks import checked_fields
@@ -133,6 +133,8 @@ class StepChoice:
         Its estimate from all manoeuvres.
     reasons : mapping
         Why fits failed, by candidate and manoeuvre.
+    hidden : bool
+        Whether errors are so far below the noise that candidates differ by more than ``excess``.
     """
 
     names: tuple[str, ...]
@@ -142,6 +144,7 @@ class StepChoice:
     chosen: str
     fit: AnyFit
     reasons: Mapping[str, str]
+    hidden: bool = False
 
     def __post_init__(self) -> None:
         seal(self)
@@ -156,6 +159,7 @@ class StepChoice:
         return (
             f"Last step: {self.chosen}, by errors of {', '.join(self.manoeuvres)} predicted "
             f"without them; above its errors: {', '.join(others) or 'no other was tried'}"
+            f"{HIDDEN if self.hidden and others else ''}"
         )
 
 
@@ -315,6 +319,7 @@ def chosen(found: StructureComparison) -> StepChoice:
         chosen=found.names[k],
         fit=cast("AnyFit", found.fits[k]),
         reasons=found.reasons,
+        hidden=found.hidden,
     )
 
 

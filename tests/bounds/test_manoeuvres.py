@@ -139,6 +139,16 @@ def test_what_a_manoeuvre_does_not_measure_counts_for_no_candidate():
         assert lost.simplest
 
 
+@pytest.mark.parametrize(("size", "hidden"), [(0.1, True), (1.0, False)])
+def test_errors_below_the_noise_differ_by_more_than_is_told_and_it_is_said(size, hidden):
+    own = size * np.array([[1.0, 1.1, 0.9], [1.0, 0.9, 2.3]])  # 1.53 times as large
+    found = comparison(np.log(own**2 + 1.0) / 2, [9, 3], noise=1.0)
+    assert found.hidden is hidden
+    assert (np.exp(found.excess[0][1]) < 1.3) == hidden
+    assert (found.best, found.simplest) == ("a", "b")
+    assert (", at least: errors are below the noise)" in found.headline()) is hidden
+
+
 def test_the_headline_says_what_the_simplest_loses():
     found = comparison([[0.0, 0.1, 0.2], [0.3, 0.0, 0.2]], [9, 3])
     mean, error = (100 * each[1] for each in (np.expm1(found.excess[0]), found.excess[1]))

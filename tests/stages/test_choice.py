@@ -98,6 +98,9 @@ def test_the_one_with_the_smallest_errors_is_chosen_the_first_of_equals():
     assert close.excess[1] < 0
     assert "b equal within errors (-1 ± " in close.headline()
     alike = chosen(comparison([[0.001, -0.002, 0.001], [0.0, 0.0, 0.0005]]))
+    assert "at least" not in alike.headline()
+    least = ", at least: errors are below the noise"
+    assert replace(alike, hidden=True).headline() == alike.headline() + least
     assert "b equal within errors (+0.0 ± 0.1 %)" in alike.headline()  # no errors of nothing
     with pytest.raises(ConvergenceError, match=r"no last step could be estimated:\na, all: no$"):
         chosen(replace(comparison([[np.nan] * 3] * 2), reasons={"a, all": "no"}))
