@@ -29,7 +29,7 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several
-from casid.shooting.contradiction import OPPOSED
+from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.output_error import OutputError
 from casid.shooting.whiteness import FED
 from casid.tabulation import csv_text, markdown_table

@@ -24,9 +24,9 @@ from casid.model import Bounds, Initial, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several, stretches
-from casid.shooting.knowledge import bias_states, wider
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.output_error import OutputError
+from casid.shooting.priors import bias_states, wider
 from casid.shooting.simulation import fitting_start, simulate
 from casid.shooting.transformed_fit import METHOD
 from casid.tabulation import csv_text, markdown_table

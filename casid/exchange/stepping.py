@@ -14,7 +14,7 @@ from casid.intersample import delayed_input
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
 from casid.shooting.flow import cut
-from casid.shooting.stages import stage_inputs
+from casid.shooting.runge_kutta_inputs import stage_inputs
 
 RESTLESS = 4.0  # of inputs on which a unit pulse rides: they break whatever it does
 DIGITS = 14  # of weights that are known

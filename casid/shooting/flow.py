@@ -181,7 +181,7 @@ class Flow:
 
 
 def cut(model: NonlinearModel) -> tuple[Hold, ...]:
-    """Of inputs held how the breaks cut the steps of an integration, see `casid.shooting.stages`.
+    """Of inputs held how breaks cut steps of integration, see `casid.shooting.runge_kutta_inputs`.
 
     Kinks do not where dx/dt = f(x) + g(x) u, nor jumps where g is the same at all states.
     """

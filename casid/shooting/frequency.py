@@ -19,8 +19,8 @@ from casid.arrays import Array
 from casid.assembly import evaluated
 from casid.free import Free
 from casid.nlp import Problem, Solution, SolverOptions, solve
+from casid.shooting.anderson_acceleration import Secants
 from casid.shooting.lines import Lines
-from casid.shooting.secants import Secants
 from casid.shooting.spectral import Residual, SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 

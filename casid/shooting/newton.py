@@ -23,8 +23,8 @@ from casid.arrays import Array
 from casid.assembly import Pattern, evaluated, grid, stack
 from casid.nlp import Problem, Solution
 from casid.shooting.curvature import Curvature, curvature
-from casid.shooting.hamiltonian import hamiltonian
 from casid.shooting.nonlinear import NonlinearEvaluator, NonlinearSweep
+from casid.shooting.nonlinear_curvature import hamiltonian
 from casid.shooting.programme import Programme
 
 MEET = 1e-2  # gaps between intervals that meet, in units of unit curvature
@@ -156,7 +156,7 @@ class _Descent:
     Newton's steps shrink there. One much longer than that into the neighbourhood was taken too
     early, where the curvature may have any sign; Gauss-Newton then goes on. It does too where steps
     with a curvature that is not ``exact`` do not shrink: over a sample in which fast modes die out
-    that of `casid.shooting.hamiltonian` may be far off.
+    that of `casid.shooting.nonlinear_curvature` may be far off.
     """
 
     def __init__(self, n: int, close: bool, *, exact: bool = True) -> None:

@@ -3,9 +3,9 @@
     x_{k+1} = Φ(x_k, u; λ)            r_k = h(x_k, u(t_k - τ); λ) + b - y_k
 
 Φ is the classical Runge-Kutta method of fourth order, in the steps and with the inputs of
-`casid.shooting.stages`. The states known, ∂Φ/∂x and ∂Φ/∂λ come of the derivatives of f at the
-stages, for many samples at once; S⁺ = (∂Φ/∂x) S + ∂Φ/∂λ is exact for the discrete states, so that
-the cost and its gradient belong to each other whatever the step.
+`casid.shooting.runge_kutta_inputs`. The states known, ∂Φ/∂x and ∂Φ/∂λ come of the derivatives of f
+at the stages, for many samples at once; S⁺ = (∂Φ/∂x) S + ∂Φ/∂λ is exact for the discrete states, so
+that the cost and its gradient belong to each other whatever the step.
 """
 
 import copy
@@ -24,8 +24,8 @@ from casid.nonlinear.switches import passages, told
 from casid.record import Record
 from casid.shooting.flow import STAGES, Flow, Slopes, weights
 from casid.shooting.intervals import Layout
+from casid.shooting.runge_kutta_inputs import Stages, stage_inputs
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, counts
-from casid.shooting.stages import Stages, stage_inputs
 from casid.shooting.stiffness import first_steps
 from casid.shooting.unknowns import FilterMatrices
 from casid.values import storable

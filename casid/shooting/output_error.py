@@ -31,21 +31,21 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import common_hold, common_units, several
 from casid.shooting import uncertainty
-from casid.shooting.beginnings import warn_of_beginnings
-from casid.shooting.contradiction import warn_of_contradiction
 from casid.shooting.frequency import IPOPT
+from casid.shooting.homogeneity import warn_of_contradiction
+from casid.shooting.initial_state_check import warn_of_beginnings
 from casid.shooting.innovation import ProcessNoise, check_gain
-from casid.shooting.knowledge import warn_contradicted, with_knowledge
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
+from casid.shooting.measured_responses import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import Integration
+from casid.shooting.pade_error import warn_rounded
 from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away, verdict
-from casid.shooting.rounding import warn_rounded
+from casid.shooting.priors import warn_contradicted, with_knowledge
 from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.selection import checked_covariance, select_records
 from casid.shooting.stiffness import MOST
+from casid.shooting.strategies import Ways, exact_outputs, warn_of_missed
 from casid.shooting.transformed_fit import estimate
-from casid.shooting.ways import Ways, exact_outputs, warn_of_missed
 from casid.shooting.whiteness import warn_of_followed, warn_of_innovations
 from casid.threads import one_thread
 

@@ -4,7 +4,7 @@
     subject to  x_end(λ, x_j) - x_{j+1} = 0  within every record,  and the model's own constraints
 
 with the negative log-likelihood ℓ of `casid.shooting.likelihood` and prior values, if any, of
-`casid.shooting.knowledge`. If R is estimated it is the most
+`casid.shooting.priors`. If R is estimated it is the most
 likely one at every iterate, so that ℓ is the concentrated likelihood: its gradient is that of ½ Σ
 rᵀR⁻¹r with R held (the envelope theorem). The Hessian is the generalised Gauss-Newton one (Bock
 1987): the Gram matrix of the residuals, with the nodes kept as variables. What IPOPT is given of it
@@ -22,8 +22,8 @@ from casid.arrays import Array
 from casid.assembly import Pattern, grid, stack, upper_triangle
 from casid.free import Free
 from casid.shooting.convolution import summed
-from casid.shooting.knowledge import Knowledge
 from casid.shooting.likelihood import Noise, moments_of
+from casid.shooting.priors import Knowledge
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, whiteners
 
 

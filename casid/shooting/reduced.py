@@ -18,10 +18,10 @@ import scipy.linalg
 
 from casid.arrays import Array, BoolArray
 from casid.nlp import Progress, Solution, SolverOptions
-from casid.shooting.nearby import MANY, QUADRATIC, STATED, step
 from casid.shooting.newton import MEET, Newton
 from casid.shooting.precision import quadratic_model, unknown_names
 from casid.shooting.programme import Programme
+from casid.shooting.warm_start import MANY, QUADRATIC, STATED, step
 
 HALF = 0.25  # of log-likelihood, a sample of an output, by which half of its variance goes
 SPARE = 1.5  # times what a quadratic model says, that may be gained

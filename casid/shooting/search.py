@@ -18,13 +18,13 @@ from casid.shooting import frequency
 from casid.shooting.delays import Side, calm, held, neighbours, own_prices, stuck
 from casid.shooting.integration import SHIFT, factor_wanted, integration, still_coarse
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.nearby import Iterate, followed, predicted
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import Integration, NonlinearEvaluator
 from casid.shooting.programme import Programme
 from casid.shooting.reduced import LAST, Reduced, completed
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of
+from casid.shooting.warm_start import Iterate, followed, predicted
 
 LOG = logging.getLogger("casid")
 

@@ -11,8 +11,8 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import Records, check_alive, stretches
 from casid.repeats import tell_repeats
-from casid.shooting.knowledge import in_totals
 from casid.shooting.likelihood import CovarianceKind
+from casid.shooting.priors import in_totals
 
 MANY = 2.0  # measurements for every unknown, at least
 

@@ -22,7 +22,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.free import Free
 from casid.intersample import DelayedInput, integrals
-from casid.shooting.delayed import Delayed
+from casid.shooting.delayed_inputs import Delayed
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout, lay_out
 from casid.shooting.kalman import filter_gains

@@ -22,7 +22,7 @@ from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free
 from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slopes
-from casid.shooting.delayed import LATE
+from casid.shooting.delayed_inputs import LATE
 from casid.shooting.lines import Lines, held_lines
 
 PORTION = 200  # lines whose derivatives are held at once, in the processor's cache

@@ -26,7 +26,6 @@ from casid.prediction import PredictionPlan, predict
 from casid.record import Record
 from casid.records import common_hold, common_units
 from casid.shooting import uncertainty
-from casid.shooting.contradiction import tell
 from casid.shooting.delays import warn_of_jumps
 from casid.shooting.frequency import (
     SpectralOutcome,
@@ -35,12 +34,13 @@ from casid.shooting.frequency import (
     close,
     white,
 )
+from casid.shooting.homogeneity import tell
+from casid.shooting.independence import warn_of_missed
 from casid.shooting.lines import Lines, transformed
-from casid.shooting.missed import warn_of_missed
-from casid.shooting.opposed import Opposed, opposed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
-from casid.shooting.sides import done, heard, searched
 from casid.shooting.spectral import as_real
+from casid.shooting.spectral_delays import done, heard, searched
+from casid.shooting.spectral_homogeneity import Opposed, opposed
 from casid.shooting.spectrum import (
     NoiseSpectrum,
     coherent,

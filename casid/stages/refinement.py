@@ -19,12 +19,12 @@ from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.evidence import few_data
 from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import held_by_bounds, uncertain
-from casid.shooting.contradiction import OPPOSED
-from casid.shooting.knowledge import CONTRADICTS
+from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
+from casid.shooting.priors import CONTRADICTS
 from casid.shooting.selection import checked_covariance, select_records
-from casid.shooting.ways import Ways
+from casid.shooting.strategies import Ways
 from casid.stages.stage import Stage, Task
 from casid.tables import placed
 from casid.threads import one_thread

@@ -13,7 +13,7 @@ from casid.frequency.estimation import SpectralAnalysis
 from casid.frequency.response import FrequencyResponse
 from casid.frequency.responses import read_frequency_csv
 from casid.model import Model
-from casid.shooting.measured import check_responses
+from casid.shooting.measured_responses import check_responses
 from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import Role, Task, records_of
 from casid.tables import Table, placed

@@ -26,7 +26,7 @@ from casid import (
 from casid.bounds.compare import _of_records
 from casid.bounds.robust import weights
 from casid.errors import unasked, warn
-from casid.shooting.contradiction import OPPOSED
+from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.whiteness import FED
 
 OMEGA = np.geomspace(0.2, 8.0, 25)

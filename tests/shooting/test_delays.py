@@ -28,8 +28,8 @@ from casid import (
 from casid.errors import unasked
 from casid.free import free_parameters
 from casid.shooting import search
-from casid.shooting.contradiction import OPPOSED, warn_of_contradiction
 from casid.shooting.delays import calm, neighbours, on_breaks, own_prices, stuck
+from casid.shooting.homogeneity import OPPOSED, warn_of_contradiction
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import neighbouring_programme, starting_programme

@@ -30,7 +30,7 @@ from casid import (
 from casid.free import free_parameters
 from casid.shooting.output_error import output_error
 from casid.shooting.search import Search
-from casid.shooting.ways import choose_interval
+from casid.shooting.strategies import choose_interval
 
 # ---- data ---------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from truths.closed_roll import (
 )
 
 from casid import Rows, output_error
-from casid.shooting import secants
+from casid.shooting import anderson_acceleration
 
 CLEAN = campaign()
 
@@ -94,7 +94,7 @@ def test_spectra_of_what_a_structure_misses_settle(seed, monkeypatch):
     records = [flown(truth, seed=k, x0=start).with_noise(NOISE, rng) for k in range(3)]
     found = output_error(TRUTH, records, domain="frequency")
     assert 0.1 < found["tau"].value < 0.14
-    monkeypatch.setattr(secants, "SLOW", np.inf)
+    monkeypatch.setattr(anderson_acceleration, "SLOW", np.inf)
     assert found.notes.rounds < output_error(TRUTH, records, domain="frequency").notes.rounds
 
 

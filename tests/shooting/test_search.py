@@ -11,12 +11,12 @@ from benchmarks.turbulence import cases, fly
 from casid import Model, Record, Rows, Scalar, SolverOptions, bootstrap, parameter
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
-from casid.shooting.nearby import Iterate
 from casid.shooting.output_error import OutputError, output_error
 from casid.shooting.reduced import STATED
 from casid.shooting.search import Search, _leads_back
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
+from casid.shooting.warm_start import Iterate
 
 
 @pytest.mark.second

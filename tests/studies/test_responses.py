@@ -8,7 +8,7 @@ from truths.roll_study import Truth, write_study
 
 from casid import FrequencyResponse, OutputError, read_records, read_study, run_study
 from casid.exchange.formats import write_frequency
-from casid.shooting.measured import MeasuredResponses
+from casid.shooting.measured_responses import MeasuredResponses
 from casid.textfile import write_json
 from casid.values import content_digest
 

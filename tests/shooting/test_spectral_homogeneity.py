@@ -10,14 +10,14 @@ from scipy.special import ndtri
 from scipy.stats import norm, t
 from truths.structures import Banking
 
-import casid.shooting.opposed
+import casid.shooting.spectral_homogeneity
 from casid import DataWarning, Record, output_error
 from casid.errors import unasked
 from casid.free import free_parameters
-from casid.shooting.contradiction import OPPOSED
+from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.lines import transformed
-from casid.shooting.opposed import opposed
 from casid.shooting.spectral import SpectralResiduals
+from casid.shooting.spectral_homogeneity import opposed
 
 T = np.arange(0, 10, 0.05)
 R = np.diag([0.03**2, 0.01**2])
@@ -164,12 +164,14 @@ def scatter(records):
 
 
 @pytest.mark.filterwarnings("ignore:.* rests on few lines")
-@pytest.mark.parametrize(("colour", "more"), [(0.0, 1.0), (0.9, casid.shooting.opposed.MORE)])
+@pytest.mark.parametrize(
+    ("colour", "more"), [(0.0, 1.0), (0.9, casid.shooting.spectral_homogeneity.MORE)]
+)
 def test_where_spectra_are_steep_scores_scatter_more(colour, more, monkeypatch):
     records = flown([10.0] * 3, seed=6, colour=colour)
     with unasked():
         found = scatter(records)
-        monkeypatch.setattr(casid.shooting.opposed, "COLOURED", np.inf)
+        monkeypatch.setattr(casid.shooting.spectral_homogeneity, "COLOURED", np.inf)
         np.testing.assert_allclose(found, more * scatter(records), rtol=1e-9)
 
 
@@ -178,12 +180,14 @@ def test_of_few_lines_scores_scatter_as_students_t(monkeypatch):
     with unasked():
         found = scatter(records)
         monkeypatch.setattr(
-            casid.shooting.opposed, "stdtrit", lambda free, p: np.full(len(free), ndtri(p))
+            casid.shooting.spectral_homogeneity,
+            "stdtrit",
+            lambda free, p: np.full(len(free), ndtri(p)),
         )
         normal = scatter(records)
     wider = np.sqrt(np.diagonal(found / normal, axis1=1, axis2=2))
     np.testing.assert_allclose(found, normal * wider[:, :, None] * wider[:, None], rtol=1e-9)
     # By Student's t of no more degrees of freedom than there are numbers on all lines, and of one.
-    chance = casid.shooting.opposed.SELDOM / len(records) / 2
+    chance = casid.shooting.spectral_homogeneity.SELDOM / len(records) / 2
     least, most = (t.isf(chance, n) / norm.isf(chance) for n in (3 * 2 * len(T), 1))
     assert least < wider.min() <= wider.max() < most

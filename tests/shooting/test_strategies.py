@@ -17,7 +17,7 @@ from casid import (
     parameter,
 )
 from casid.free import free_parameters
-from casid.shooting.ways import GAIN, Ways, choose_interval, missed
+from casid.shooting.strategies import GAIN, Ways, choose_interval, missed
 
 
 def ways(model=TRUTH, **more):

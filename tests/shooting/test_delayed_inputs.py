@@ -8,8 +8,8 @@ from truths.closed_roll import TRUTH, flown, jittered
 
 from casid.free import free_parameters
 from casid.intersample import delayed_input
-from casid.shooting import delayed
-from casid.shooting.delayed import LATE, Delayed, common_step, stretch
+from casid.shooting import delayed_inputs
+from casid.shooting.delayed_inputs import LATE, Delayed, common_step, stretch
 from casid.shooting.stepping import collect_breaks
 from casid.shooting.unknowns import FilterFunction
 
@@ -63,7 +63,7 @@ def test_within_a_stretch_nothing_is_laid_out_again(monkeypatch):
         calls.append(arguments)
         return delayed_input(*arguments)
 
-    monkeypatch.setattr(delayed, "delayed_input", counted)
+    monkeypatch.setattr(delayed_inputs, "delayed_input", counted)
     inputs = Delayed([flown(seed=1), flown(seed=2)], FUNCTION.direct)
     for tau in np.array([1.1, 1.5, 1.9, 2.0]) * H:
         inputs.at(matrices(tau))

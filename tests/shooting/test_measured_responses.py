@@ -22,7 +22,7 @@ from casid import (
     output_error,
     parameter,
 )
-from casid.shooting.measured import check_responses
+from casid.shooting.measured_responses import check_responses
 
 OMEGA = np.geomspace(0.5, 10.0, 20)
 RECORDS = campaign(1, 2)

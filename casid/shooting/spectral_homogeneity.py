@@ -1,8 +1,9 @@
 """Whether records contradict each other, on the lines of their transforms.
 
-`casid.shooting.discord` asks each record by the slope g of its part of the likelihood and by its
-information F. The covariance of g is that of noise of the spectra that are left by an estimate of
-each record alone, to first order: those that all leave together may hold the contradiction itself.
+`casid.shooting.outlying_records` asks each record by the slope g of its part of the likelihood and
+by its information F. The covariance of g is that of noise of the spectra that are left by an
+estimate of each record alone, to first order: those that all leave together may hold the
+contradiction itself.
 They are of records of one kind together, every output of its own size in each. Of few lines they
 are less known: scores count for less by as much as Student's t is wider, and for less still where a
 spectrum is steep.
@@ -19,12 +20,12 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from casid.arrays import Array, ComplexArray
-from casid.shooting.agreement import SELDOM as RARELY
-from casid.shooting.agreement import Source
-from casid.shooting.discord import SELDOM, Discord, Records, discord, scattered
+from casid.shooting.hausman import SELDOM as RARELY
+from casid.shooting.hausman import Source
+from casid.shooting.independence import LEVEL as FOLLOWS
+from casid.shooting.independence import followed
 from casid.shooting.lines import Lines
-from casid.shooting.missed import LEVEL as FOLLOWS
-from casid.shooting.missed import followed
+from casid.shooting.outlying_records import SELDOM, Discord, Records, discord, scattered
 from casid.shooting.scores import NO_SCORES, RecordScores, left_out
 from casid.shooting.spectral import Residual, as_real
 from casid.shooting.spectrum import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.shooting.secants import Secants
+from casid.shooting.anderson_acceleration import Secants
 
 GOAL = np.array([2.0, -1.0, 0.5])
 F = np.diag([1.0, 4.0, 9.0])

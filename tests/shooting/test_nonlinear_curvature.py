@@ -7,9 +7,9 @@ import pytest
 from truths.swing import TRUTH, swung
 
 from casid.free import free_parameters
-from casid.shooting.hamiltonian import hamiltonian
 from casid.shooting.intervals import lay_out
 from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.shooting.nonlinear_curvature import hamiltonian
 from casid.shooting.sensitivity import Point, whiteners
 
 R = np.diag([0.05, 0.05]) ** 2

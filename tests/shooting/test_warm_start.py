@@ -10,10 +10,10 @@ from truths.closed_roll import TRUTH, flown, with_holes
 from casid import Constraint, SolverOptions
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
-from casid.shooting.nearby import CHEAP, ROOM, Iterate, followed, in_box, predicted
 from casid.shooting.programme import Scales
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
+from casid.shooting.warm_start import CHEAP, ROOM, Iterate, followed, in_box, predicted
 
 
 class Tied(type(TRUTH)):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from casid.shooting.agreement import SELDOM, SMALLER, Source, disagreement, misstated
+from casid.shooting.hausman import SELDOM, SMALLER, Source, disagreement, misstated
 
 RNG = np.random.default_rng(3)
 NF = 4

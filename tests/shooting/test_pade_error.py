@@ -9,7 +9,7 @@ import scipy.signal
 
 from casid import DataWarning, Model, Record, Scalar, output_error, parameter
 from casid.sensors import Sensor
-from casid.shooting.rounding import rounded
+from casid.shooting.pade_error import rounded
 
 DT, FINE = 0.02, 200  # s, samples of truth in each
 

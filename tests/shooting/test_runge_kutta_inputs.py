@@ -6,7 +6,7 @@ from truths.brute_force import simulate_finely
 from truths.thrust import instants, piece
 
 from casid.intersample import delayed_input
-from casid.shooting.stages import stage_inputs
+from casid.shooting.runge_kutta_inputs import stage_inputs
 
 A, B = np.array([[-1.0, -4.0], [1.0, 0.0]]), np.array([[3.0], [0.0]])
 H = 0.05

@@ -20,8 +20,8 @@ from casid import (
     parameter,
 )
 from casid.free import free_parameters
-from casid.shooting.knowledge import Knowledge, in_totals
 from casid.shooting.likelihood import Noise
+from casid.shooting.priors import Knowledge, in_totals
 from casid.shooting.sensitivity import Point
 
 FLOWN = (0.02, -0.05)  # constants in p' of the two records

@@ -18,9 +18,9 @@ from casid.display import listed
 from casid.errors import warn
 from casid.record import Record
 from casid.shooting import uncertainty
-from casid.shooting.agreement import APART, MOST, Source
 from casid.shooting.delays import on_breaks
-from casid.shooting.discord import SELDOM, Discord, Records, discord
+from casid.shooting.hausman import APART, MOST, Source
+from casid.shooting.outlying_records import SELDOM, Discord, Records, discord
 from casid.shooting.precision import held, information, slopes
 from casid.shooting.programme import Programme
 from casid.shooting.scores import ProcessScores, summed
@@ -40,7 +40,7 @@ def warn_of_contradiction(programme: Programme, x: Array) -> None:
     """Tell of records that contradict the others, at scaled variables x.
 
     Filters say nothing: their gains follow the records, too. Nor is a record to blame where
-    responses pull at all of them, or, of two, what is known before: `casid.shooting.agreement` asks
+    responses pull at all of them, or, of two, what is known before: `casid.shooting.hausman` asks
     those.
     """
     layout, free = programme.evaluator.layout, programme.free

@@ -7,7 +7,7 @@ alone would have it, by a Gauss-Newton step, at
 
     x = m − g (σ² + 1/F),   of variance 1/F, as the stated m is of σ²;
 
-the test of `casid.shooting.knowledge.warn_contradicted`, without its difference of nearly equal
+the test of `casid.shooting.priors.warn_contradicted`, without its difference of nearly equal
 numbers. Residuals correlated in time make another variance of x: gusts over the first seconds are
 no other initial state. Of several that are contradicted the worst is left out before the others,
 which it may have pulled away, are asked.
@@ -24,8 +24,8 @@ from casid.arrays import Array
 from casid.display import listed
 from casid.errors import warn
 from casid.shooting import uncertainty
-from casid.shooting.knowledge import CONTRADICTED, CONTRADICTS
 from casid.shooting.precision import held
+from casid.shooting.priors import CONTRADICTED, CONTRADICTS
 from casid.shooting.programme import Programme
 from casid.shooting.whiteness import whitened
 

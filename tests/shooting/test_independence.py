@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from truths.closed_roll import NOISE, TRUTH, campaign, lag
 
 from casid import DataWarning, output_error
-from casid.shooting.missed import _bands, _of_output
+from casid.shooting.independence import _bands, _of_output
 
 FOLLOW = "residuals of .* follow the inputs"
 

@@ -1,6 +1,6 @@
 """Which few of several records contradict the others, by quadratic models of every one's cost.
 
-At the estimate of all records the test of specification of `casid.shooting.agreement` asks each
+At the estimate of all records the test of specification of `casid.shooting.hausman` asks each
 against all others. A record of its own flight condition, trim or unit stands out; leave it out, and
 the others agree. So the worst is left out until those that are left agree, and its fault is told
 if they are more than half. Where a structure misses something records of other manoeuvres never
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from casid.arrays import Array
-from casid.shooting.agreement import Disagreement, Source, disagreement
+from casid.shooting.hausman import Disagreement, Source, disagreement
 
 SELDOM = 1e-6  # chance of records that agree, all together; more if their noise is coloured
 LITTLE = 0.1  # of the first excess over chance: what curvature leaves of it, no discord of others

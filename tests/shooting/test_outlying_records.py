@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from casid.shooting.agreement import Source
-from casid.shooting.discord import Records, discord, scattered
+from casid.shooting.hausman import Source
+from casid.shooting.outlying_records import Records, discord, scattered
 
 NF = 2
 

@@ -32,7 +32,7 @@ from casid.frequency.repeated import same_numbers
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.record import Record
-from casid.shooting.agreement import Source, disagreement, misstated
+from casid.shooting.hausman import Source, disagreement, misstated
 
 ROUNDS = 4  # of estimates, each weighed by the residuals of the last
 FAR = 3.0  # stated errors that half of a pair's points are off, above which that is told

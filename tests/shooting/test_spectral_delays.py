@@ -11,13 +11,13 @@ from truths.heave import Heave, heaved
 from truths.late_pair import Against, Twice, paired
 from truths.structures import LateRoll
 
-import casid.shooting.sides
+import casid.shooting.spectral_delays
 from benchmarks.between_samples import BOUNDS, H, flight
 from casid import Record, SolverOptions, output_error
 from casid.free import free_parameters
 from casid.shooting.frequency import search
 from casid.shooting.lines import transformed
-from casid.shooting.sides import EDGE, FIRST, heard, likelihood, sides
+from casid.shooting.spectral_delays import EDGE, FIRST, heard, likelihood, sides
 
 WHOLE = replace(TRUTH, tau=0.06)  # three samples
 
@@ -133,7 +133,7 @@ def test_a_start_two_samples_off_passes_all_kinks_on_the_way(hold):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
 def test_a_side_that_is_passed_over_has_nothing_better(monkeypatch):
-    honest, above = casid.shooting.sides._no_better, []
+    honest, above = casid.shooting.spectral_delays._no_better, []
 
     def told(outcome, residuals, start):
         passed = honest(outcome, residuals, start)
@@ -142,7 +142,7 @@ def test_a_side_that_is_passed_over_has_nothing_better(monkeypatch):
             above.append(likelihood(end) - likelihood(outcome))
         return passed
 
-    monkeypatch.setattr(casid.shooting.sides, "_no_better", told)
+    monkeypatch.setattr(casid.shooting.spectral_delays, "_no_better", told)
     output_error(replace(WHOLE, tau=0.09), stepped(1), domain="frequency")
     truth, records = Heave(), heaved(masked=False)
     output_error(replace(truth, tlon=0.05, tcol=0.1 - 0.005), records, domain="frequency")

@@ -9,9 +9,9 @@ from scipy.signal import lfilter, lsim
 from truths.structures import Banking
 
 from casid import DataWarning, Record, output_error
-from casid.shooting.agreement import Disagreement, Source
-from casid.shooting.contradiction import OPPOSED, contradiction, tell
-from casid.shooting.discord import Discord, Records
+from casid.shooting.hausman import Disagreement, Source
+from casid.shooting.homogeneity import OPPOSED, contradiction, tell
+from casid.shooting.outlying_records import Discord, Records
 
 T = np.arange(0, 6, 0.05)
 
