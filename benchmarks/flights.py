@@ -43,10 +43,10 @@ from benchmarks.uh60 import (
 from casid import frequency_response, outliers, output_error, pbsid
 from casid.records import standard_deviations
 from casid.subspace import modal as modes
-from casid.subspace.alike import alike
 from casid.subspace.campaign import Campaign
 from casid.subspace.fourier import Spectrum
 from casid.subspace.likelihood import parts
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.refinement import refine
 from casid.subspace.settings import HIGHEST
 from casid.subspace.slopes import normal_equations, response_derivative

@@ -34,7 +34,7 @@ from casid.frequency.response import FrequencyResponse
 from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
-from casid.matching.misfit import misfit, residuals
+from casid.matching.lack_of_fit import misfit, residuals
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.programme import Optimum
 from casid.matching.targets import Target

@@ -20,8 +20,8 @@ from casid.frequency.response import FrequencyResponse
 from casid.frequency.responses import side_by_side
 from casid.linear import StateSpace
 from casid.matching.comparison import Comparison
-from casid.matching.discord import discord
-from casid.matching.misfit import misfit
+from casid.matching.condition_homogeneity import discord
+from casid.matching.lack_of_fit import misfit
 from casid.matching.targets import Target
 from casid.model import Bounds, M, Model
 from casid.nonlinear.conditions import Trim, at_condition

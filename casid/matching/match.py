@@ -23,11 +23,11 @@ from casid.free import Free, free_parameters
 from casid.matching.appraisal import MatchNotes
 from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
-from casid.matching.misfit import misfit
-from casid.matching.reach import reachable, stated_errors
+from casid.matching.lack_of_fit import misfit
+from casid.matching.reachable_weights import reachable, stated_errors
 from casid.matching.search import MatchResult, MatchSearch
 from casid.matching.targets import REACHABLE, SIZE, Target, Weight, check_weight_name, comparison_of
-from casid.matching.untold import untold
+from casid.matching.unidentifiable import untold
 from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim, by_condition

@@ -29,7 +29,7 @@ from casid.free import Free
 from casid.matching import epigraph
 from casid.matching.comparison import Comparison
 from casid.matching.costs import Decibels, MeanSquare
-from casid.matching.side import SideConstraints
+from casid.matching.side_constraints import SideConstraints
 from casid.nlp import Problem, SolverOptions, solve
 
 START = 1.05  # t at the start, in units of the largest squared error there

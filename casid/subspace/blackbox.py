@@ -13,7 +13,7 @@ from casid.linear import StateSpace, from_zoh
 from casid.record import Hold
 from casid.subspace.candidates import OrderSelection
 from casid.subspace.columns import Segment
-from casid.subspace.held import discretised, undiscretised
+from casid.subspace.held_inputs import discretised, undiscretised
 from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubts

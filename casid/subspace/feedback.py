@@ -8,8 +8,8 @@ outputs' noise v: |bias| <= |Φ_vu|/Φ_u at every frequency, and by Schwarz
 the share of the input that is noise fed back times the noise-to-signal ratio of the output. The
 share follows from the one-step prediction errors e of a model with a stable predictor; so does the
 ratio where v is white. Where it is not, as in turbulence, v is many times e at low frequency, and
-the share alone says whether there may be a bias (`casid.subspace.refining`), where it is more than
-chance makes of short records of slow inputs.
+the share alone says whether there may be a bias (`casid.subspace.refinement_choice`), where it is
+more than chance makes of short records of slow inputs.
 
 Of residuals of a simulation, that an input comes to follow them shows in its future: it explains
 what its past and present, and the residuals' own past, leave of them (C. A. Sims, Money, income,

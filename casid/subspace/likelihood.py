@@ -15,8 +15,8 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.subspace import modal as modes
-from casid.subspace.alike import Alike, Drive, fewest
 from casid.subspace.fourier import Lines, Spectrum
+from casid.subspace.pooled_spectra import Alike, Drive, fewest
 from casid.subspace.weighing import smoothed
 
 

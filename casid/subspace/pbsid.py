@@ -21,7 +21,6 @@ from casid.linear import StateSpace
 from casid.record import Record
 from casid.records import Records, check_moved
 from casid.subspace import settings as choice
-from casid.subspace.apart import missed_of_samples
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.candidates import Candidate, OrderSelection, Refinement
@@ -29,7 +28,8 @@ from casid.subspace.columns import Feedthrough, Segment, check_pole
 from casid.subspace.feedback import direct_term_is_ambiguous
 from casid.subspace.poles import PASTS
 from casid.subspace.prediction import SampledUncertainty
-from casid.subspace.refining import Estimate, refine_projected, refine_sampled
+from casid.subspace.refinement_choice import Estimate, refine_projected, refine_sampled
+from casid.subspace.response_distance import missed_of_samples
 from casid.subspace.sampled import (
     ORDERS,
     Stretches,

@@ -23,11 +23,11 @@ import numpy as np
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace import modal as modes
-from casid.subspace.alike import alike
-from casid.subspace.fast import bounded, held_interval
+from casid.subspace.fast_pole_errors import bounded, held_interval
 from casid.subspace.fourier import Spectrum
 from casid.subspace.likelihood import Part, noise_weights, parts, without_transients
-from casid.subspace.meeting import parted, pole_errors
+from casid.subspace.pole_errors import parted, pole_errors
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.slopes import normal_equations, response_derivative, with_outputs
 from casid.subspace.weighing import known_weights, smoothed
 from casid.values import storable
@@ -67,7 +67,7 @@ class ResponseUncertainty:
     def pole_std(self) -> tuple[ComplexArray, Array, Array]:
         """Poles with Im >= 0 and standard deviations of their real and imaginary parts, (nm,).
 
-        Of poles that nearly meet, see `casid.subspace.meeting`.
+        Of poles that nearly meet, see `casid.subspace.pole_errors`.
         """
         modal = self.modal
         lam = modal.lam if self.poles is None else self.poles

@@ -26,9 +26,9 @@ from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.candidates import Candidate, Refinement
 from casid.subspace.columns import input_bandwidth
 from casid.subspace.feedback import fed_back_noise, prediction_errors
-from casid.subspace.held import discretised
+from casid.subspace.held_inputs import discretised
 from casid.subspace.predictor import accumulate
-from casid.subspace.refining import FED_BACK, Estimate, refine_projected, refine_sampled
+from casid.subspace.refinement_choice import FED_BACK, Estimate, refine_projected, refine_sampled
 
 ORDERS = (*range(1, 11), *range(12, 21, 2))
 WINDOWS = (20, 10, 5)  # samples; the shorter ones where records do not suffice

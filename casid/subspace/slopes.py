@@ -11,9 +11,9 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.subspace import modal as modes
-from casid.subspace.alike import Drive
 from casid.subspace.fourier import Lines
 from casid.subspace.likelihood import Factors, Part, factors, forced
+from casid.subspace.pooled_spectra import Drive
 
 
 def normal_equations(

@@ -9,10 +9,10 @@ import scipy
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace import refinement
-from casid.subspace.alike import alike
 from casid.subspace.fourier import Spectrum
 from casid.subspace.likelihood import noise_weights, parts
 from casid.subspace.modal import covariance_factor, to_modal
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.slopes import normal_equations
 from casid.values import storable
 

@@ -4,7 +4,6 @@ import numpy as np
 from truths.systems import campaign, unstable_plant
 
 from casid.records import standard_deviations
-from casid.subspace.alike import alike
 from casid.subspace.fourier import spectra
 from casid.subspace.likelihood import parts
 from casid.subspace.modal import (
@@ -19,6 +18,7 @@ from casid.subspace.modal import (
     tangents,
     to_modal,
 )
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.slopes import linearised
 
 OMEGA = np.geomspace(0.5, 6.0, 12)

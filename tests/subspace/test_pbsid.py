@@ -19,7 +19,7 @@ from casid.subspace.columns import gather
 from casid.subspace.fourier import spectra
 from casid.subspace.pbsid import Pbsid
 from casid.subspace.refinement import refine
-from casid.subspace.refining import refine_projected
+from casid.subspace.refinement_choice import refine_projected
 
 
 @pytest.mark.second

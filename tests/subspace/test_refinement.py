@@ -5,10 +5,10 @@ from truths.uh60 import sweeps
 
 from casid import Record, StateSpace, pbsid
 from casid.records import standard_deviations
-from casid.subspace.alike import alike
 from casid.subspace.fourier import spectra
 from casid.subspace.likelihood import noise_weights, parts
 from casid.subspace.modal import Modal, to_modal
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.refinement import (
     ResponseUncertainty,
     information_criteria,

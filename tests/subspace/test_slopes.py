@@ -3,10 +3,10 @@ import pytest
 from truths.systems import campaign, unstable_plant
 
 from casid.records import standard_deviations
-from casid.subspace.alike import alike
 from casid.subspace.fourier import spectra
 from casid.subspace.likelihood import parts
 from casid.subspace.modal import moved, to_modal
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.slopes import normal_equations, with_outputs
 
 

@@ -8,10 +8,10 @@ from truths.systems import campaign, closed_loop_record
 from truths.uh60 import sweeps
 
 from casid import DataWarning, Record, StateSpace, pbsid
-from casid.subspace.apart import errors_apart
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.refinement import refine
-from casid.subspace.refining import _unfound
+from casid.subspace.refinement_choice import _unfound
+from casid.subspace.response_distance import errors_apart
 from casid.subspace.trust import (
     data_doubts,
     growth,
@@ -243,7 +243,7 @@ def test_growth_that_one_state_less_cannot_follow_is_not_doubted(A, gain):
 )
 def test_what_follows_no_record_does_not_tell_growth_from_decay(true, rate, unfound, monkeypatch):
     still = StateSpace([[-9.0]], [[1e-3]], [[1.0]], [[0.0]], None, ("u",), ("y",))
-    monkeypatch.setattr("casid.subspace.refining._at_order", lambda *_, **__: still)
+    monkeypatch.setattr("casid.subspace.refinement_choice._at_order", lambda *_, **__: still)
     rng = np.random.default_rng(3)
     options = {"duration": 20.0, "noise": 0.3, "gain": np.array([[2.0]])}
     records = [closed_loop_record(slow_plant(true), rng, **options) for _ in range(4)]

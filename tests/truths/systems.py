@@ -6,7 +6,7 @@ from casid import BlackBox, Record, StateSpace
 from casid.linear import foh_step
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.modal import to_modal
-from casid.subspace.refining import refine_sampled
+from casid.subspace.refinement_choice import refine_sampled
 
 OMEGA = np.geomspace(0.3, 8.0, 25)
 

@@ -18,7 +18,7 @@ from casid.display import listed
 from casid.evaluation import MatrixFunction
 from casid.free import Free
 from casid.matching.comparison import Comparison
-from casid.matching.misfit import NOTHING, directions, measurements, residuals
+from casid.matching.lack_of_fit import NOTHING, directions, measurements, residuals
 from casid.matching.targets import Target
 from casid.nonlinear.conditions import by_condition
 

@@ -9,24 +9,24 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.errors import warn
 from casid.linear import StateSpace
-from casid.subspace.agreement import Fault, disagreement
-from casid.subspace.apart import (
+from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.candidates import Refinement
+from casid.subspace.channel_faults import Fault, disagreement
+from casid.subspace.feedback import fed_back, fed_back_noise
+from casid.subspace.fourier import Spectrum
+from casid.subspace.gain import carried_gain, riccati_gain
+from casid.subspace.held_inputs import refine_held
+from casid.subspace.prediction import SampledUncertainty, refine_samples
+from casid.subspace.realisation import Subspace
+from casid.subspace.refinement import ResponseUncertainty, refine, refined_system
+from casid.subspace.regression import regress_inputs
+from casid.subspace.response_distance import (
     POINTS,
     errors_apart,
     missed_direct,
     missed_response,
     stated_errors,
 )
-from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.candidates import Refinement
-from casid.subspace.feedback import fed_back, fed_back_noise
-from casid.subspace.fourier import Spectrum
-from casid.subspace.gain import carried_gain, riccati_gain
-from casid.subspace.held import refine_held
-from casid.subspace.prediction import SampledUncertainty, refine_samples
-from casid.subspace.realisation import Subspace
-from casid.subspace.refinement import ResponseUncertainty, refine, refined_system
-from casid.subspace.regression import regress_inputs
 from casid.subspace.settings import HIGHEST
 from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import (

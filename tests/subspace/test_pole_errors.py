@@ -6,11 +6,11 @@ from scipy.signal import lfilter
 
 from casid import Record, StateSpace
 from casid.records import standard_deviations
-from casid.subspace.alike import alike
 from casid.subspace.fourier import spectra
 from casid.subspace.likelihood import noise_weights, parts
-from casid.subspace.meeting import parted, pole_errors
 from casid.subspace.modal import covariance_factor, from_modal, to_modal
+from casid.subspace.pole_errors import parted, pole_errors
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.refinement import refine
 from casid.subspace.slopes import normal_equations
 

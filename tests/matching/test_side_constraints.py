@@ -8,7 +8,7 @@ from truths.swing import Swing
 from casid import Constraint, Scalar, Trim, parameter
 from casid.evaluation import MatrixFunction
 from casid.free import free_parameters
-from casid.matching.side import SideConstraints, _factor
+from casid.matching.side_constraints import SideConstraints, _factor
 from casid.matching.targets import comparison_of
 
 

@@ -10,8 +10,8 @@ from truths.swing import Swing
 
 from casid import DataWarning, FrequencyResponse, Trim, derivid, match
 from casid.free import free_parameters
+from casid.matching.condition_homogeneity import _explains, discord
 from casid.matching.conditions import named
-from casid.matching.discord import _explains, discord
 from casid.matching.targets import comparison_of
 
 M, MLON, MQ, TAU, ERROR = 6.0, 8.0, -0.8, 0.05, 0.03

@@ -7,7 +7,7 @@ import pytest
 from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import FrequencyResponse, Match, match
-from casid.matching.reach import reachable, stated_errors
+from casid.matching.reachable_weights import reachable, stated_errors
 from casid.matching.targets import comparison_of
 
 OMEGA = np.geomspace(0.3, 6.0, 12)

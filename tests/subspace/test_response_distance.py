@@ -5,9 +5,9 @@ import pytest
 from truths.systems import innovation_record, stepped_input, unstable_plant
 
 from casid import Record, StateSpace, pbsid
-from casid.subspace.apart import errors_apart, missed_direct
 from casid.subspace.campaign import Campaign
-from casid.subspace.held import refine_held
+from casid.subspace.held_inputs import refine_held
+from casid.subspace.response_distance import errors_apart, missed_direct
 from casid.subspace.sampled import choose_samples
 from casid.subspace.trust import order_doubts
 

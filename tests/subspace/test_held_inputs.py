@@ -6,7 +6,7 @@ from truths.systems import stepped_input, unstable_plant
 
 from casid import Record, StateSpace
 from casid.subspace.campaign import Campaign
-from casid.subspace.held import discretised, refine_held, undiscretised
+from casid.subspace.held_inputs import discretised, refine_held, undiscretised
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])

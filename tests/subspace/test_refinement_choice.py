@@ -6,9 +6,9 @@ import scipy.signal
 from truths.systems import campaign, innovation_record, relative_error, unstable_plant
 
 from casid import DataWarning, Record, pbsid
-from casid.subspace import refining
+from casid.subspace import refinement_choice
 from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.refining import Estimate, refine_projected, refine_sampled
+from casid.subspace.refinement_choice import Estimate, refine_projected, refine_sampled
 
 
 @pytest.mark.parametrize("how", ["unrefined", "linear", "prediction", "simulation"])
@@ -85,7 +85,7 @@ def test_noise_fed_back_is_answered_by_prediction_errors(
         ("fed_back", (share, size, chance)), ("refine_held", (plant, K + 1, None, plant)),
         ("riccati_gain", K + 2), ("missed_direct", None), ("_apart", (distance, ratio)),
     ):  # fmt: skip
-        monkeypatch.setattr(refining, name, lambda *_, answer=answer: answer)
+        monkeypatch.setattr(refinement_choice, name, lambda *_, answer=answer: answer)
     found = Estimate(plant, K)
     if chosen.endswith("remark"):
         told = (
@@ -93,11 +93,11 @@ def test_noise_fed_back_is_answered_by_prediction_errors(
             "small errors themselves of records as short as these; longer records tell more;"
         )
         with pytest.warns(DataWarning, match=told):
-            other = refining._without_feedback(found, flown, 6.0, np.eye(3))
+            other = refinement_choice._without_feedback(found, flown, 6.0, np.eye(3))
         assert other.system is plant
         assert told in other.remark
     else:
-        other = refining._without_feedback(found, flown, 6.0, np.eye(3))
+        other = refinement_choice._without_feedback(found, flown, 6.0, np.eye(3))
         assert other.remark == ""
     np.testing.assert_array_equal(other.K, K + 2 * (chosen == "prediction errors"))
 

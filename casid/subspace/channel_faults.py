@@ -19,10 +19,10 @@ from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace import likelihood
 from casid.subspace import modal as modes
-from casid.subspace.alike import alike
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.fourier import Spectrum, parts, spectrum, transformed
-from casid.subspace.left_out import Jackknife
+from casid.subspace.jackknife import Jackknife
+from casid.subspace.pooled_spectra import alike
 from casid.subspace.slopes import linearised, normal_equations
 
 # What nonlinear aircraft show between manoeuvres: a fault is larger by `CLEAR` errors. A clock is

@@ -54,7 +54,7 @@ class Residuals(NamedTuple):
 def misfit(free: Free, active: BoolArray, comparison: Comparison, targets: Sequence[Target]) -> str:
     """What says that a structure misses more of measured responses than their errors; "" if none.
 
-    Parameters as of `casid.matching.discord.discord`; conditions may be one.
+    Parameters as of `casid.matching.condition_homogeneity.discord`; conditions may be one.
     """
     matrices, room = MatrixFunction(free)(free.guess), directions(free, active)
     told = [

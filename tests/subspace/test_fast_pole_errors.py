@@ -4,7 +4,7 @@ from truths.systems import stepped_input
 
 from casid import Record, StateSpace
 from casid.records import standard_deviations
-from casid.subspace.fast import bounded, held_interval
+from casid.subspace.fast_pole_errors import bounded, held_interval
 from casid.subspace.fourier import Spectrum, spectra
 from casid.subspace.modal import Modal
 from casid.subspace.refinement import refine

@@ -6,7 +6,7 @@ import pytest
 from casid import Constraint, DataWarning, Model, Scalar, StateSpace, match, parameter
 from casid.free import free_parameters
 from casid.matching.match import Match
-from casid.matching.untold import untold
+from casid.matching.unidentifiable import untold
 
 OMEGA = np.geomspace(0.1, 10, 30)
 TRUTH = StateSpace(A=[[-2.0]], B=[[3.0]], C=[[1.0]], D=[[0.0]], delay=(), inputs=("u",),

@@ -6,7 +6,7 @@ import pytest
 from truths.systems import closed_loop_record, unstable_plant
 
 from casid import pbsid
-from casid.subspace.agreement import Fault
+from casid.subspace.channel_faults import Fault
 
 GAIN = np.array([[0.0, 0.4, 0.0], [0.3, 0.0, 0.2]])
 

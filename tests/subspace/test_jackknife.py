@@ -9,7 +9,7 @@ import scipy
 
 from casid import Record, pbsid
 from casid.subspace.fourier import Spectrum
-from casid.subspace.left_out import ROUGHLY, Jackknife, _gains, _regressed
+from casid.subspace.jackknife import ROUGHLY, Jackknife, _gains, _regressed
 from casid.subspace.modal import Modal
 
 DT = 0.04
