@@ -42,7 +42,7 @@ from .consistency.kinematics import (
 )
 from .cover import Cover as Cover, cover as cover
 from .design.inputs import design_inputs as design_inputs
-from .design.asked import DesignSettings as DesignSettings, Limits as Limits
+from .design.specification import DesignSettings as DesignSettings, Limits as Limits
 from .design.plan import Design as Design
 from .display import ProgressLine as ProgressLine
 from .distances import Distance as Distance, Distances as Distances, distances as distances

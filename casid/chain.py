@@ -7,8 +7,8 @@ from math import nan
 from time import perf_counter
 from typing import Any, Generic, cast
 
-from casid.consistency.flights import repeats
 from casid.consistency.kinematics import KinematicCheck
+from casid.consistency.reused_flights import repeats
 from casid.display import Cells, Shown, Tabled, counted
 from casid.errors import DataWarning
 from casid.fit import Fit, M_co

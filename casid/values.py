@@ -28,7 +28,7 @@ _HOMES: Mapping[str, tuple[str, ...]] = {
         "ParameterAccuracy",
         "StartCost",
     ),
-    "design.asked": ("Limits",),
+    "design.specification": ("Limits",),
     "design.plan": ("Alternative", "Design"),
     "distances": ("Distance", "Distances"),
     "excitations": ("Excitation",),

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from casid.bounds.cases import Case, CaseSpec
+from casid.bounds.pooled_warnings import returned, sentences, tell
 from casid.bounds.prices import CaseResult, price_case
-from casid.bounds.telling import returned, sentences, tell
 from casid.bounds.trials import Data, Fits, spelt_out
 from casid.display import Shown, listed
 from casid.envelope import balance_of, flight_condition

@@ -14,8 +14,8 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
+from casid.bounds.pooled_warnings import heard, returned, tell
 from casid.bounds.replaceable import needed, parts_of
-from casid.bounds.telling import heard, returned, tell
 from casid.bounds.trials import Fits, aicc, run_fits
 from casid.checks import check_known
 from casid.display import Cells, Tabled, percent_above

@@ -15,8 +15,8 @@ import scipy
 
 from casid.arrays import Array
 from casid.bounds.cases import Case
+from casid.bounds.pooled_warnings import tell
 from casid.bounds.robust import weights
-from casid.bounds.telling import tell
 from casid.bounds.trials import Data, Fits
 from casid.checks import check_level
 from casid.display import Shown, counted

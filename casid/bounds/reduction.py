@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, DerividNotes
-from casid.bounds.telling import tell
+from casid.bounds.pooled_warnings import tell
 from casid.bounds.trials import Data, Fits, aicc
 from casid.checks import check_known, checked_fields
 from casid.display import Cells, Tabled

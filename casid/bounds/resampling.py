@@ -11,7 +11,7 @@ import scipy
 from casid.arrays import Array
 from casid.bounds.draws import BlockDraw, KnownInitial, NoiseDraw
 from casid.bounds.leverage import leverages
-from casid.bounds.telling import heard, tell_of_draws
+from casid.bounds.pooled_warnings import heard, tell_of_draws
 from casid.bounds.trials import Draw, Fits
 from casid.checks import check_known, check_level
 from casid.display import Shown, counted, listed

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.telling import tell
+from casid.bounds.pooled_warnings import tell
 from casid.bounds.trials import Data, Fits
 from casid.display import Cells, Tabled, counted
 from casid.errors import ConvergenceError

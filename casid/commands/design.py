@@ -14,12 +14,12 @@ from rich.text import Text
 from casid.commands.columns import pairs
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
 from casid.commands.terminal import caution, exits, logged, new_table
-from casid.design.asked import DesignSettings, Limits
 from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.loop import UnheldError
 from casid.design.plan import Design
 from casid.design.prior import check_trim, tells_noise
+from casid.design.specification import DesignSettings, Limits
 from casid.envelope import flight_condition
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit

@@ -12,7 +12,7 @@ from rich.text import Text
 from casid.channels import UNITS
 from casid.commands.columns import COLUMN, UNIT
 from casid.commands.terminal import caution, exits, new_table
-from casid.consistency.clocks import moves_told
+from casid.consistency.alignment import moves_told
 from casid.display import counted
 from casid.excitations import Excitation
 from casid.logs.drafting import Draft, import_log

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.channels import FORCES, RATES
-from casid.consistency.apart import KNOWN, Apart
+from casid.consistency.clock_skews import KNOWN, Apart
 from casid.consistency.flightpath import LATE
-from casid.consistency.further import ROUGH, in_some, mistake
 from casid.consistency.instruments import OWN, Instruments
+from casid.consistency.remarks import ROUGH, in_some, mistake
 from casid.consistency.rigid import spoiled
 from casid.consistency.signs import Signs, reversed_channels
 from casid.consistency.voting import SIGNIFICANT, significant

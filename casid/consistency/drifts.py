@@ -14,10 +14,10 @@ import scipy
 
 from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, VELOCITIES
-from casid.consistency.apart import known
+from casid.consistency.attitude_clocks import reconstruct_level
+from casid.consistency.clock_skews import known
 from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight
-from casid.consistency.parting import reconstruct_level
 from casid.consistency.voting import SKEW, Late, apart, shared
 
 ROUNDS = 8  # of setting clocks right

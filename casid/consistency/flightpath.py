@@ -7,21 +7,21 @@
 V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
 R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
 force is taken as measured(t) = (1 + scale) true(t − skew) + bias, attitudes and velocities as right
-but for noise and for clocks: velocities and, where flights tell it (`casid.consistency.parting`), θ
-and ψ may be late against φ, as what one of several sources delays. A skew is against what the
-channel turns or moves; all terms of an equation are taken at the time of what they are compared
-with (`casid.consistency.rigid.Sides`): a late θ in φ' would be read as a skew of q, u times a late
-q as an accelerometer's place. Scale and skew are one for all records. Biases are constant over a
-record and of its own: instruments drift from flight to flight, and trim is subtracted record by
-record. A pitch attitude neither recorded nor given, in φ' alone, is unknown in each record but of a
-credible size, `TILT`, and moves in straight lines between knots.
+but for noise and for clocks: velocities and, where flights tell it
+(`casid.consistency.attitude_clocks`), θ and ψ may be late against φ, as what one of several sources
+delays. A skew is against what the channel turns or moves; all terms of an equation are taken at the
+time of what they are compared with (`casid.consistency.rigid.Sides`): a late θ in φ' would be read
+as a skew of q, u times a late q as an accelerometer's place. Scale and skew are one for all
+records. Biases are constant over a record and of its own: instruments drift from flight to flight,
+and trim is subtracted record by record. A pitch attitude neither recorded nor given, in φ' alone,
+is unknown in each record but of a credible size, `TILT`, and moves in straight lines between knots.
 
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
 rates adds up in the integral; innovations of a filter with one gain an equation, fitted with the
 unknowns, are what is minimised (gain 0 is output error), as far as aircraft move: up to `BAND`.
 Noise of the measured signals is in the regressors, too: what it pretends there is taken out at the
-end (`casid.consistency.pretended`). Standard errors allow for what colour is left.
+end (`casid.consistency.errors_in_variables`). Standard errors allow for what colour is left.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,11 +34,11 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
+from casid.consistency.clipping import Beside, Limit, Whitened, beside, cut_off, judged, standing
+from casid.consistency.errors_in_variables import Corrected, Eliminated, Normal
 from casid.consistency.innovations import growing, innovations, integral, steady_gain
 from casid.consistency.instruments import CLOCKS, OWN, Instruments
-from casid.consistency.limits import Beside, Limit, Whitened, beside, cut_off, judged, standing
 from casid.consistency.measured import Flight, white_noise
-from casid.consistency.pretended import Corrected, Eliminated, Normal
 from casid.consistency.rigid import TURNED, WHOLE, Sides, Terms, terms_of
 
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])

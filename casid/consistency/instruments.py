@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.limits import Beside, Limit
+from casid.consistency.clipping import Beside, Limit
 
 OWN = dict(zip((*RATES, *FORCES), (*ATTITUDES, *VELOCITIES), strict=True))
 CLOCKS = ("theta", "psi", "velocities")  # that may differ from the one of φ

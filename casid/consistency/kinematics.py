@@ -12,20 +12,10 @@ import numpy as np
 
 from casid.arrays import BoolArray
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.alone import one_alone
-from casid.consistency.apart import Apart, known, stands_apart
+from casid.consistency.clock_skews import Apart, known, stands_apart
 from casid.consistency.comparisons import ChannelCheck, judged
 from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
-from casid.consistency.further import (
-    ROUGH,
-    against_gravity,
-    dead_channels,
-    misplaced,
-    seen_place,
-    turned,
-    unexplained,
-)
 from casid.consistency.lags import clocks_apart
 from casid.consistency.measured import (
     Flight,
@@ -36,8 +26,18 @@ from casid.consistency.measured import (
     strays,
 )
 from casid.consistency.recordwise import clocks_by_record
+from casid.consistency.remarks import (
+    ROUGH,
+    against_gravity,
+    dead_channels,
+    misplaced,
+    seen_place,
+    turned,
+    unexplained,
+)
 from casid.consistency.rigid import GRAVITY, NEEDED, WHOLE
 from casid.consistency.signs import set_upright
+from casid.consistency.single_skew import one_alone
 from casid.consistency.voting import mean, significant
 from casid.display import Shown, counted, in_a_row, instant, listed
 from casid.record import Record

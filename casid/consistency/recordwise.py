@@ -12,12 +12,12 @@ import scipy
 
 from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.apart import known
+from casid.consistency.attitude_clocks import reconstruct_level
+from casid.consistency.clock_skews import known
 from casid.consistency.flightpath import reconstruct
-from casid.consistency.further import unexplained
 from casid.consistency.instruments import Instruments
 from casid.consistency.measured import Flight
-from casid.consistency.parting import reconstruct_level
+from casid.consistency.remarks import unexplained
 from casid.consistency.signs import unlikely
 from casid.consistency.voting import SKEW, mean
 

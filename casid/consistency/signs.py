@@ -17,12 +17,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.channels import ATTITUDES, FORCES, MEASURES, VELOCITIES
+from casid.consistency.attitude_clocks import reconstruct_level
 from casid.consistency.flightpath import GAINS
-from casid.consistency.further import against_gravity, unexplained
 from casid.consistency.innovations import innovations
 from casid.consistency.instruments import Instruments
 from casid.consistency.measured import Flight
-from casid.consistency.parting import reconstruct_level
+from casid.consistency.remarks import against_gravity, unexplained
 from casid.consistency.rigid import GRAVITY
 from casid.consistency.voting import SIGNIFICANT
 

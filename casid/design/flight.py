@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
-from casid.design.flown import Flown
 from casid.design.loop import Feedback, gains
+from casid.design.nonlinear_information import Flown
 from casid.design.optimise import Task
 from casid.design.prior import condition
 from casid.evaluation import MatrixFunction

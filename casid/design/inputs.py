@@ -7,10 +7,9 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.design import signals
-from casid.design.asked import DesignSettings, Limits
 from casid.design.criterion import as_long, covariance
+from casid.design.feedback_noise import deviations, peak
 from casid.design.flight import Flight
-from casid.design.heard import deviations, peak
 from casid.design.loop import Feedback, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
@@ -26,6 +25,7 @@ from casid.design.prior import (
 )
 from casid.design.problem import JUDGES, Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
+from casid.design.specification import DesignSettings, Limits
 from casid.display import listed
 from casid.errors import warn
 from casid.evaluation import MatrixFunction

@@ -8,8 +8,8 @@ import scipy
 
 from casid.arrays import Array
 from casid.checks import check_known
-from casid.design.asked import DesignSettings
 from casid.design.criterion import covariance
+from casid.design.specification import DesignSettings
 from casid.errors import warn
 from casid.estimates import ACTIVE
 from casid.evaluation import MatrixFunction

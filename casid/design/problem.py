@@ -9,7 +9,6 @@ import numpy as np
 from casid.arrays import Array
 from casid.channels import CONTROLS
 from casid.checks import check_known
-from casid.design.asked import DesignSettings, Limits, check_times
 from casid.design.criterion import Goal, told
 from casid.design.loop import Crowd, Feedback, Loop, UnheldError
 from casid.design.optimise import Task
@@ -23,6 +22,7 @@ from casid.design.prior import (
     possible,
 )
 from casid.design.signals import longest_unit
+from casid.design.specification import DesignSettings, Limits, check_times
 from casid.display import counted
 from casid.errors import warn
 from casid.fit import AnyFit

@@ -11,7 +11,7 @@ import numpy as np
 
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.checks import checked
-from casid.consistency.clocks import aligned
+from casid.consistency.alignment import aligned
 from casid.consistency.kinematics import kinematic_check
 from casid.display import counted, listed
 from casid.errors import DataWarning

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from casid.bands import ModeBand, mode_bands
 from casid.channels import UNITS
-from casid.consistency.flights import Repeats
+from casid.consistency.reused_flights import Repeats
 from casid.embedding import StructureError, structure_error
 from casid.envelope import flight_condition, linear_fit
 from casid.fit import AnyFit, Fit

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casid.channels import units_of
-from casid.consistency.flights import Repeats
+from casid.consistency.reused_flights import Repeats
 from casid.jobs.origins import equations_digest
 from casid.record import Record
 from casid.report.content import Content, DataFile, Timing

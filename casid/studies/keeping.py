@@ -13,7 +13,7 @@ from importlib import import_module
 from logging.handlers import BufferingHandler
 from typing import Any, TypeAlias, TypeVar
 
-from casid.bounds.telling import kind
+from casid.bounds.pooled_warnings import kind
 from casid.errors import ConvergenceError, DataWarning, warn
 from casid.fit import Fit
 from casid.jobs.beside import beside

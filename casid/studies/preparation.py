@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casid.checks import hint
-from casid.consistency.clocks import aligned, moves_told
+from casid.consistency.alignment import aligned, moves_told
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
 from casid.outlying import outliers

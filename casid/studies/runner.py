@@ -11,7 +11,7 @@ from typing import Any
 from casid import report as pages
 from casid.bounds.compare import BoundsComparison
 from casid.chain import Identification
-from casid.consistency.flights import Repeats
+from casid.consistency.reused_flights import Repeats
 from casid.errors import ConvergenceError, DataWarning, warn
 from casid.fit import AnyFit, ParameterEstimate
 from casid.folder import claimed

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from casid.checks import checked_fields
-from casid.consistency.flights import Repeats, repeats
 from casid.consistency.plausibility import check_plausible
-from casid.design.asked import DesignSettings, check_deviations, check_times
+from casid.consistency.reused_flights import Repeats, repeats
 from casid.design.loop import gains
 from casid.design.prior import check_trim
 from casid.design.problem import check_limited, free_of
+from casid.design.specification import DesignSettings, check_deviations, check_times
 from casid.errors import DataWarning, warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv

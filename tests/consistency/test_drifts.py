@@ -7,10 +7,10 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight, truth
 
 from casid import kinematic_check
+from casid.consistency.attitude_clocks import reconstruct_level
 from casid.consistency.drifts import Drifts, _Clocks, without_drifts
 from casid.consistency.innovations import growing, integral
 from casid.consistency.measured import Flight
-from casid.consistency.parting import reconstruct_level
 
 ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
 ANGLES = (*RATES, "phi", "theta")

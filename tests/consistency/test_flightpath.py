@@ -7,9 +7,9 @@ import pytest
 import scipy.optimize
 from truths.flights import FORCES, RATES, STATES, truth
 
+from casid.consistency.errors_in_variables import Corrected, Normal
 from casid.consistency.flightpath import PLACED, _Reconstruction, _solved, reconstruct
 from casid.consistency.measured import Flight
-from casid.consistency.pretended import Corrected, Normal
 
 
 def of_record(found, record=0):

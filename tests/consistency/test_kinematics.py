@@ -14,7 +14,7 @@ from truths.roll_study import write_study
 
 from casid import DataWarning, outliers, read_csv
 from casid.consistency import kinematics
-from casid.consistency.apart import Apart
+from casid.consistency.clock_skews import Apart
 from casid.consistency.kinematics import _clocks_differ, kinematic_check
 from casid.exchange.formats import read_table, write_table
 from casid.record import Record

@@ -7,7 +7,7 @@ import pytest
 from truths.roll_study import write_study
 
 from casid import read_study, run_study
-from casid.consistency.flights import Repeats
+from casid.consistency.reused_flights import Repeats
 from casid.stages.stage import StageResults
 from casid.studies.contents import _settings, _units, content
 

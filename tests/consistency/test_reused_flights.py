@@ -7,7 +7,7 @@ import pytest
 from truths.closed_roll import Roll
 
 from casid import DataWarning, Record, identify
-from casid.consistency.flights import repeats
+from casid.consistency.reused_flights import repeats
 
 T = 0.02 * np.arange(1000)
 

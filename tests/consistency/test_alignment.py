@@ -5,8 +5,8 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight
 
 from casid import Record
-from casid.consistency.apart import Apart
-from casid.consistency.clocks import _fewer, aligned, moves_told
+from casid.consistency.alignment import _fewer, aligned, moves_told
+from casid.consistency.clock_skews import Apart
 from casid.consistency.comparisons import ChannelCheck
 from casid.consistency.instruments import OWN
 from casid.consistency.kinematics import KinematicCheck, kinematic_check

@@ -8,9 +8,9 @@ from casid.arrays import Array
 from casid.channels import FORCES, VELOCITIES
 from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight, white_noise
+from casid.consistency.random_walks import walked
 from casid.consistency.rigid import GRAVITY
 from casid.consistency.voting import SIGNIFICANT
-from casid.consistency.walks import walked
 from casid.display import listed
 from casid.record import REST
 from casid.samples import root_mean_square

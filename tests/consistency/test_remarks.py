@@ -7,9 +7,9 @@ import pytest
 from truths.bodies import ATTITUDES, SPEEDS, changed, flown
 from truths.flights import FORCES, NOISE, RATES, STATES, flight
 
-from casid.consistency.further import against_gravity, misplaced, mistake, turned
 from casid.consistency.kinematics import kinematic_check
 from casid.consistency.measured import Flight
+from casid.consistency.remarks import against_gravity, misplaced, mistake, turned
 
 
 def still(**values):

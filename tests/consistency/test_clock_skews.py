@@ -6,8 +6,8 @@ from truths import bodies
 from truths.flights import FORCES, NOISE, RATES, STATES, flight
 
 from casid import Record
-from casid.consistency.apart import Apart
-from casid.consistency.clocks import aligned
+from casid.consistency.alignment import aligned
+from casid.consistency.clock_skews import Apart
 from casid.consistency.kinematics import kinematic_check
 
 ATTITUDES, VELOCITIES = STATES[:3], STATES[3:]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.consistency.pretended import Corrected, Eliminated, Normal
+from casid.consistency.errors_in_variables import Corrected, Eliminated, Normal
 
 
 def line(seed, n=2000, noisy=0.5):

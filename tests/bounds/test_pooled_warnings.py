@@ -9,8 +9,8 @@ from truths.mixture import TRUTH, Inline, Mixture, record
 
 import casid
 from casid import DataWarning, Execution, OutputError, compare_bounds, multistart
+from casid.bounds.pooled_warnings import heard, kind, sentences, tell, tell_of_draws
 from casid.bounds.reduction import ReductionRule
-from casid.bounds.telling import heard, kind, sentences, tell, tell_of_draws
 from casid.errors import warn
 
 HERE = Execution(executor=Inline())

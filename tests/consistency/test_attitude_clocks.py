@@ -8,9 +8,9 @@ from truths import bodies
 from truths.logs import ANGLES, RATES, flight
 
 from casid import Record, kinematic_check
+from casid.consistency.attitude_clocks import reconstruct_apart, reconstruct_level
 from casid.consistency.flightpath import TILT, reconstruct
 from casid.consistency.measured import Flight
-from casid.consistency.parting import reconstruct_apart, reconstruct_level
 from casid.samples import root_mean_square
 
 OMEGA, PHASE = np.array([0.7, 1.1, 1.9, 2.6]), np.array([0.3, 2.0, 4.1, 5.2])

@@ -10,7 +10,7 @@ from truths.hovering import G, hover
 from casid.consistency.innovations import integral
 from casid.consistency.kinematics import kinematic_check
 from casid.consistency.measured import Flight, signals
-from casid.consistency.walks import (
+from casid.consistency.random_walks import (
     cosine_powers,
     noise_floor,
     step_variance,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight
 
+from casid.consistency.clipping import cut_off, standing
 from casid.consistency.kinematics import kinematic_check
-from casid.consistency.limits import cut_off, standing
 from casid.consistency.measured import Flight
 
 ANGLES = (*RATES, "phi", "theta")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
-from casid.design.heard import deviations, peak
+from casid.design.feedback_noise import deviations, peak
 from casid.design.loop import Loop
 from casid.free import free_parameters
 from models.lateral_directional import LateralDirectional

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from casid import DesignSettings, Limits, NonlinearModel, design_inputs, parameter
-from casid.design.flown import Flown
+from casid.design.nonlinear_information import Flown
 from casid.free import free_parameters
 
 A, LP, LPP, K, TAU = range(5)

@@ -9,12 +9,12 @@ nothing else is late or displaced, and no more mistakes must have been made than
 
 from collections.abc import Sequence
 
-from casid.consistency.apart import Apart, known, stands_apart
+from casid.consistency.clock_skews import Apart, known, stands_apart
 from casid.consistency.flightpath import reconstruct
-from casid.consistency.further import misplaced, seen_place
 from casid.consistency.instruments import Instruments
 from casid.consistency.measured import Flight
 from casid.consistency.recordwise import drawn_apart
+from casid.consistency.remarks import misplaced, seen_place
 from casid.consistency.signs import unlikely
 from casid.consistency.voting import significant
 
