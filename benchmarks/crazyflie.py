@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import peers
 from casid import StateSpace, output_error, read_study, validate
-from casid.closeness import fit_percent
+from casid.goodness_of_fit import fit_percent
 from casid.prediction import prediction_plan
 from casid.studies.study import read_records
 

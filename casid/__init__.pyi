@@ -47,7 +47,7 @@ from .design.plan import Design as Design
 from .display import ProgressLine as ProgressLine
 from .distances import Distance as Distance, Distances as Distances, distances as distances
 from .eigenmodes import Mode as Mode, modes as modes
-from .embedding import StructureError as StructureError, structure_error as structure_error
+from .undermodelling import StructureError as StructureError, structure_error as structure_error
 from .envelope import Envelope as Envelope, envelope as envelope
 from .errors import (
     ConvergenceError as ConvergenceError,
@@ -117,14 +117,14 @@ from .nonlinear.conditions import Trim as Trim
 from .nonlinear.model import NonlinearModel as NonlinearModel
 from .nonlinear.tables import spline as spline
 from .nonlinear.trims import find_trim as find_trim
-from .outlying import outliers as outliers
+from .outlier_detection import outliers as outliers
 from .qualification import (
     Qualification as Qualification,
     qualify as qualify,
 )
 from .propagation import sample_models as sample_models
 from .record import Record as Record
-from .repetition import repeated as repeated, without_repeats as without_repeats
+from .repeated_samples import repeated as repeated, without_repeats as without_repeats
 from .report.plots import compare as compare
 from .report.tables import summary as summary
 from .residuals import Residuals as Residuals, residuals as residuals

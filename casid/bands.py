@@ -18,11 +18,11 @@ from casid.arrays import Array, ComplexArray
 from casid.checks import check_level
 from casid.display import Shown, counted
 from casid.eigenmodes import SAMPLES, Mode, deviations, may_meet, modes, pole_figures
-from casid.embedding import StructureError, missed_quantile, missed_square
 from casid.fit import AnyFit
 from casid.model import Model
 from casid.propagation import drawn_models, first_order, known_errors, spread
 from casid.threads import one_thread
+from casid.undermodelling import StructureError, missed_quantile, missed_square
 
 EQUAL = 1e-4  # distance of poles, relative to them, that is that of rounding in a multiple one
 SAME = np.e - 1  # share of a pole within which a black box's is the same mode

@@ -16,12 +16,12 @@ from casid.arrays import Array, ComplexArray
 from casid.bands import checked_frequencies
 from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.display import Shown
-from casid.embedding import StructureError
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.model import Model
 from casid.propagation import spread
 from casid.threads import one_thread
+from casid.undermodelling import StructureError
 
 DRAWS = 100  # of what a structure misses
 FAR = 4.0  # standard deviations of readings that belong elsewhere

@@ -18,9 +18,9 @@ from casid.model import Bounds, M
 from casid.nlp import Progress
 from casid.record import Record
 from casid.records import several
-from casid.repeats import repeats_known, tell_repeats
 from casid.report.content import Timing
 from casid.shooting.precision import OutputErrorNotes
+from casid.slow_sources import repeats_known, tell_repeats
 from casid.stages.choice import StepChoice
 from casid.stages.listing import STAGES
 from casid.stages.stage import (

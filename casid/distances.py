@@ -31,8 +31,8 @@ from casid.free import Free
 from casid.frequency.response import FrequencyResponse, response_of_pair
 from casid.missing_modes import Lacking, MissingMode
 from casid.model import Model
-from casid.nearest import BoxResponse, Nearest, movable, nearest
 from casid.records import several
+from casid.response_fit import BoxResponse, Nearest, movable, nearest
 from casid.subspace.blackbox import BlackBox
 from casid.tabulation import markdown_table
 from casid.threads import one_thread

@@ -29,10 +29,10 @@ from casid.display import Shown, instant
 from casid.errors import DataWarning
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
-from casid.repetition import without_repeats
+from casid.repeated_samples import without_repeats
+from casid.resting_outputs import unanswered
 from casid.samples import runs
 from casid.threads import one_thread
-from casid.unanswered import unanswered
 from casid.values import storable
 from casid.vector_autoregression import VectorAutoregression, of_flights, of_records
 

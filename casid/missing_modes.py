@@ -8,7 +8,7 @@ import scipy
 
 from casid.arrays import BoolArray, ComplexArray
 from casid.model import Model
-from casid.nearest import BoxResponse
+from casid.response_fit import BoxResponse
 from casid.subspace.blackbox import BlackBox, passed
 from casid.subspace.refinement import ResponseUncertainty
 from casid.values import storable

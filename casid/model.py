@@ -19,10 +19,10 @@ import numpy as np
 from casid import declaration, sensors
 from casid.arrays import Array
 from casid.checks import check_known
+from casid.code_dependencies import Surroundings, surroundings
 from casid.errors import ModelError
 from casid.linear import StateSpace
 from casid.sensors import Scalar, Sensor
-from casid.surroundings import Surroundings, surroundings
 
 Rows: TypeAlias = Sequence[Sequence[Scalar]]
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.embedding import StructureError
 from casid.errors import warn
 from casid.fit import AnyFit, ParameterEstimate
 from casid.model import M, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
+from casid.undermodelling import StructureError
 
 STEP = 1e-3  # of a standard error
 

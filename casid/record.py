@@ -13,7 +13,7 @@ from casid.arrays import Array, BoolArray
 from casid.checks import checked_methods, spelling
 from casid.display import Shown, listed
 from casid.errors import warn
-from casid.rereading import warn_of_corners, with_rest_told, with_steps_told
+from casid.interpolation_error import warn_of_corners, with_rest_told, with_steps_told
 
 Hold = Literal["foh", "zoh"]
 

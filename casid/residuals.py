@@ -10,13 +10,13 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray
-from casid.closeness import BAND
 from casid.display import Shown, listed
+from casid.goodness_of_fit import BAND
 from casid.prediction import PredictionPlan
 from casid.records import Records, same_channels, same_interval, standard_deviations, stretches
 from casid.samples import known_mean
 from casid.threads import one_thread
-from casid.unexplained import unexplained
+from casid.unexplained_variance import unexplained
 from casid.validation import AnyModel, Validation, predicted, validate
 
 LAGS = 25  # usual in the field

@@ -3,7 +3,7 @@
 import numpy as np
 
 from casid.arrays import Array
-from casid.repetition import least_step
+from casid.repeated_samples import least_step
 from casid.samples import runs
 
 CLIPPED = 5  # equal samples in a row at a channel's largest or smallest value

@@ -16,9 +16,9 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.checks import check_known
-from casid.closeness import fit_percent, rms_error, theil_coefficient, whiteness
 from casid.display import Shown, counted, listed
 from casid.fit import AnyFit, Fit
+from casid.goodness_of_fit import fit_percent, rms_error, theil_coefficient, whiteness
 from casid.linear import StateSpace
 from casid.model import Model
 from casid.nonlinear.coverage import joined_spans, warn_beyond
@@ -34,8 +34,8 @@ from casid.prediction import (
 )
 from casid.record import Record
 from casid.records import Records, datum, same_channels, standard_deviations, stretches
-from casid.repeats import tell_repeats
 from casid.shooting.simulation import predict_nonlinear
+from casid.slow_sources import tell_repeats
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
 

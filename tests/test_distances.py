@@ -24,7 +24,7 @@ from casid import (
 )
 from casid.distances import searched
 from casid.missing_modes import Lacking
-from casid.nearest import BoxResponse, movable, nearest
+from casid.response_fit import BoxResponse, movable, nearest
 from casid.values import decode, encode
 
 BAND = (1.05, 8.4)

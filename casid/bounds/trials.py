@@ -14,7 +14,7 @@ from casid.errors import ConvergenceError, unasked
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job, UnfinishedError, run_jobs
-from casid.jobs.origins import equations_digest, source_digest
+from casid.jobs.digests import equations_digest, source_digest
 from casid.jobs.store import Done
 from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
 from casid.matching.targets import Target

@@ -31,8 +31,8 @@ from casid.exchange import formats
 from casid.folder import check_target
 from casid.model import Model
 from casid.record import Hold, Record
-from casid.repeats import repeats_known
 from casid.report.tables import cells
+from casid.slow_sources import repeats_known
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_flights
 from casid.studies.studyfile import read_study

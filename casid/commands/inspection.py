@@ -13,15 +13,15 @@ from casid.consistency.measured import strays, white_noise
 from casid.consistency.plausibility import unit_doubts
 from casid.display import Cells, Shown, counted, in_a_row, instant, listed
 from casid.excitations import Excitation, excitation_if_any
-from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
 from casid.records import Records, same_channels, several, steps_told, still, twins_told
-from casid.repetition import repeated, source_interval
+from casid.repeated_samples import repeated, source_interval
 from casid.report.tables import cells
 from casid.samples import bursts, usual_interval
 from casid.saturation import longest_stop, saturated
 from casid.structure.identifiability import Identifiability, identifiability
+from casid.stuck_channels import Frozen, frozen
 
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise

@@ -28,9 +28,9 @@ from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.record import Record
 from casid.records import steps_told, twins_told, units_told
-from casid.repeats import repeats_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
+from casid.slow_sources import repeats_told
 from casid.stages.listing import STAGES, stages_in_words, tables_of_stages
 from casid.stages.qualification import Bands
 from casid.structure.identifiability import identifiability

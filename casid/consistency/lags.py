@@ -14,7 +14,7 @@ from casid.arrays import Array
 from casid.channels import ATTITUDES, RATES, VELOCITIES
 from casid.consistency.measured import Flight
 from casid.consistency.rigid import NEEDED, terms_of
-from casid.repetition import least_step
+from casid.repeated_samples import least_step
 
 FARTHEST = 30.0  # s, of clocks
 TURN = 0.5  # s: over which turns are compared

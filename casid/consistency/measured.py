@@ -10,9 +10,9 @@ from casid.arrays import Array, BoolArray
 from casid.autoregression import filled, slow
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.frequency.sampling import equidistant
-from casid.outlying import FAR, outliers
+from casid.outlier_detection import FAR, outliers
 from casid.record import Record
-from casid.repetition import least_step, repeated
+from casid.repeated_samples import least_step, repeated
 from casid.samples import BURST, MAD, at_instants, runs
 
 MOST = 60_000  # samples that are looked at

@@ -21,7 +21,7 @@ from casid.frequency.leakage import over_three
 from casid.frequency.response import FrequencyResponse
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
-from casid.repeats import repeats_known, tell_repeats
+from casid.slow_sources import repeats_known, tell_repeats
 from casid.values import storable
 
 RATIO = 1.5  # of two amplitudes, at least

@@ -32,7 +32,7 @@ from casid.frequency.spectra import (
 )
 from casid.record import Record
 from casid.records import Records, same_channels, standard_deviations, still, stretches
-from casid.repeats import tell_repeats
+from casid.slow_sources import tell_repeats
 from casid.threads import one_thread
 
 KEPT = 0.5  # share of an input's power in windows without long losses, of all records

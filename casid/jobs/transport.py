@@ -21,7 +21,7 @@ from typing import Any
 import cloudpickle
 
 from casid.errors import ModelError
-from casid.jobs.origins import structure_digest
+from casid.jobs.digests import structure_digest
 from casid.model import RESTORING, Model
 from casid.structure.modelfile import load_model
 from casid.values import digest

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any
 
-from casid.jobs.beside import FORKS, end_alike, forking
+from casid.jobs.child_process import FORKS, end_alike, forking
 from casid.threads import cores, limited
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -7,10 +7,10 @@ from shlex import quote
 
 import numpy as np
 
-from casid.logs import turns
+from casid.logs import attitude_columns
+from casid.logs.attitude_columns import AXES, attitude_topics, axis_of
 from casid.logs.sources import UNIT, Source, moves, moving, source_of
 from casid.logs.topics import Log, Topic
-from casid.logs.turns import AXES, attitude_topics, axis_of
 
 ACTUATORS = ("actuator_outputs", "actuator_motors", "actuator_servos", "RCOU")  # drive aircraft
 INPUTS: tuple[Mapping[str, str], ...] = (  # sets of which the first that moves is taken
@@ -46,7 +46,7 @@ SPELT = {  # as recorders call inputs, in words of lower case
     **dict.fromkeys(("elev", "höhenruder", "hoehenruder"), "elevator"),
     **dict.fromkeys(("rudd", "ruddr", "seitenruder"), "rudder"),
     **dict.fromkeys(("thr", "thro", "thro1", "gas"), "throttle"),
-    **turns.SPELT,
+    **attitude_columns.SPELT,
 }
 BESIDE = {  # words of a name that say that it is an input, or how it is counted
     *("stick", "yoke", "yoke1", "joystick", "cmd", "command", "commanded", "input", "lever", "rc"),

@@ -19,10 +19,10 @@ from casid.channels import (
     VELOCITIES,
     factor_of,
 )
+from casid.logs.attitude_columns import attitudes
 from casid.logs.commands import find_inputs
 from casid.logs.sources import Source, bare, moves, moving, source_of
 from casid.logs.topics import SI_OF, SPELT, Log, Topic
-from casid.logs.turns import attitudes
 from casid.samples import at_instants
 
 BODY = "body velocity"  # a topic of casid's own

@@ -31,10 +31,10 @@ from casid.logs.reading import read_log
 from casid.logs.sources import Source
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, left_out, make_stretch
 from casid.logs.topics import Log
-from casid.logs.unseen import unseen
+from casid.logs.validation_split import unseen
 from casid.logs.velocities import together, turned_anew
 from casid.model import Model
-from casid.outlying import outliers
+from casid.outlier_detection import outliers
 from casid.record import REST, Hold, Record
 from casid.structure.modelfile import load_model, locate_model
 from casid.textfile import write_text

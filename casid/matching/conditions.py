@@ -15,7 +15,7 @@ from casid.errors import warn
 from casid.estimator import Estimator
 from casid.fit import Fit
 from casid.free import free_parameters
-from casid.frequency.repeated import same_numbers
+from casid.frequency.duplicates import same_numbers
 from casid.frequency.response import FrequencyResponse
 from casid.frequency.responses import side_by_side
 from casid.linear import StateSpace

@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.code_dependencies import Surroundings, surroundings
 from casid.errors import warn
 from casid.model import constants
 from casid.nonlinear.expressions import Nonlinear, evaluated
 from casid.nonlinear.tables import noted
-from casid.surroundings import Surroundings, surroundings
 
 MARGIN = 0.1  # of a span that a manoeuvre about its end may leave it by,
 NEARBY = 0.05  # or of the largest value: one airspeed, flown with little change, is no wall

@@ -15,6 +15,7 @@ import numpy as np
 
 from casid import declaration
 from casid.arrays import Array
+from casid.code_dependencies import Surroundings, surroundings
 from casid.errors import ModelError, warn
 from casid.model import Model, Rows, constants
 from casid.nonlinear.conditions import Trim, check_named, linearisation
@@ -22,7 +23,6 @@ from casid.nonlinear.coverage import joined_spans, reached, warn_beyond
 from casid.nonlinear.expressions import evaluated, jumping, linearised, reference_point
 from casid.nonlinear.kinks import kinks
 from casid.sensors import Scalar
-from casid.surroundings import Surroundings, surroundings
 
 SCATTERED = 6  # conditions at which equations are told from others
 

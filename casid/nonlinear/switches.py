@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.code_dependencies import Surroundings, surroundings
 from casid.display import counted
 from casid.model import constants
 from casid.nonlinear.expressions import COMPARED, Nonlinear, evaluated
-from casid.surroundings import Surroundings, surroundings
 
 SIDES = {ca.OP_SIGN: 0, ca.OP_COPYSIGN: 1, ca.OP_ATAN2: 0}  # the argument whose sign decides
 LOOKED_AT = 20  # passages of a threshold, at most

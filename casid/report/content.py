@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 from casid.bands import ModeBand, mode_bands
 from casid.channels import UNITS
 from casid.consistency.reused_flights import Repeats
-from casid.embedding import StructureError, structure_error
 from casid.envelope import flight_condition, linear_fit
 from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.subspace.blackbox import BlackBox
+from casid.undermodelling import StructureError, structure_error
 from casid.validation import AnyModel
 
 if TYPE_CHECKING:

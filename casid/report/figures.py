@@ -13,15 +13,15 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLo
 
 from casid.arrays import Array, ComplexArray
 from casid.channels import UNITS
-from casid.closeness import BAND
-from casid.embedding import StructureError
 from casid.excitations import LITTLE, Excitation
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
+from casid.goodness_of_fit import BAND
 from casid.linear import StateSpace
 from casid.report.content import BASELINE, BLACK_BOX, CHOSEN, MATCH, OUTPUT_ERROR
 from casid.samples import SLOWER, at_instants, autocorrelation, usual_interval
 from casid.subspace.pbsid import BlackBox
+from casid.undermodelling import StructureError
 from casid.validation import Validation
 
 MEASURED = "measured"

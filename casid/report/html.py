@@ -16,7 +16,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from casid.display import digits_beside_one
-from casid.jobs.beside import beside
+from casid.jobs.child_process import beside
 from casid.report import intervals
 from casid.report.answer import theil_place
 from casid.report.content import TEMPLATES, Content, Drawing, Section, cautions, leads

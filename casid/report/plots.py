@@ -21,7 +21,6 @@ from casid.channels import UNITS
 from casid.cover import Cover
 from casid.design.plan import Design
 from casid.distances import Distances
-from casid.embedding import StructureError
 from casid.envelope import Envelope
 from casid.excitations import Excitation
 from casid.fit import Fit
@@ -51,6 +50,7 @@ from casid.report.sheets import as_given, known, new_axes, styled
 from casid.residuals import Residuals
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.candidates import OrderSelection
+from casid.undermodelling import StructureError
 from casid.validation import AnyModel, Validation, state_space, validate
 
 SLOWEST = 1e-6  # rad/s: what is slower is an integrator

@@ -20,7 +20,6 @@ from casid.design.plan import Design
 from casid.display import Cells, Shown, Tabled, digits_beside_one
 from casid.distances import Distances
 from casid.eigenmodes import modes
-from casid.embedding import StructureError
 from casid.envelope import Envelope
 from casid.excitations import Excitation
 from casid.fit import Fit
@@ -34,6 +33,7 @@ from casid.samples import runs
 from casid.structure.identifiability import Identifiability
 from casid.subspace.blackbox import BlackBox
 from casid.tabulation import markdown_table
+from casid.undermodelling import StructureError
 from casid.validation import Validation
 
 

@@ -28,7 +28,7 @@ from casid.fingerprints import same_flight
 from casid.fit import AnyFit, Fit
 from casid.free import Free
 from casid.frequency.covariance import steadied, whitener
-from casid.frequency.repeated import same_numbers
+from casid.frequency.duplicates import same_numbers
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.record import Record

@@ -10,9 +10,9 @@ from casid.free import Free
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import Records, check_alive, stretches
-from casid.repeats import tell_repeats
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.priors import in_totals
+from casid.slow_sources import tell_repeats
 
 MANY = 2.0  # measurements for every unknown, at least
 

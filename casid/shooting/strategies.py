@@ -34,7 +34,7 @@ from casid.shooting.starting import (
 from casid.shooting.stiffness import MOST, REACH, fastest_flown
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
 from casid.subspace.pbsid import BlackBox
-from casid.unexplained import told, unexplained
+from casid.unexplained_variance import told, unexplained
 
 LOG = logging.getLogger("casid")
 

@@ -24,8 +24,8 @@ from casid.arrays import Array
 from casid.display import listed
 from casid.errors import warn
 from casid.nonlinear.model import NonlinearModel
-from casid.repeats import repeats_told
 from casid.shooting.programme import Programme
+from casid.slow_sources import repeats_told
 from casid.subspace.feedback import followed
 
 LAGS = 10  # samples

@@ -18,13 +18,13 @@ from casid.display import percent_above
 from casid.errors import ConvergenceError, warn
 from casid.fit import AnyFit, Fit
 from casid.frequency.estimation import SpectralAnalysis
+from casid.interpolation_error import lost_between
 from casid.matching.match import Match
 from casid.model import Bounds, M
 from casid.record import Record
 from casid.records import several
 from casid.report.content import CHOSEN as LABEL
 from casid.report.content import Caution, Content, Section, section
-from casid.rereading import lost_between
 from casid.shooting.output_error import OutputError
 from casid.stages.stage import Stage, Task
 from casid.subspace.pbsid import Pbsid

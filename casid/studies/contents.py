@@ -10,7 +10,7 @@ import numpy as np
 
 from casid.channels import units_of
 from casid.consistency.reused_flights import Repeats
-from casid.jobs.origins import equations_digest
+from casid.jobs.digests import equations_digest
 from casid.record import Record
 from casid.report.content import Content, DataFile, Timing
 from casid.stages.stage import Role, StageResults

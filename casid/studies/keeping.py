@@ -16,13 +16,13 @@ from typing import Any, TypeAlias, TypeVar
 from casid.bounds.pooled_warnings import kind
 from casid.errors import ConvergenceError, DataWarning, warn
 from casid.fit import Fit
-from casid.jobs.beside import beside
 from casid.jobs.campaigns import CampaignProgress, Execution
-from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
+from casid.jobs.child_process import beside
+from casid.jobs.digests import equations_digest, own_source, source_digest, structure_digest
 from casid.jobs.store import Done, Store
 from casid.nlp import Progress
-from casid.repeats import repeats_known
 from casid.report.content import Timing
+from casid.slow_sources import repeats_known
 from casid.stages.stage import LeftOutError, Stage, Task, compute, watched
 from casid.studies.study import Study
 from casid.threads import cores

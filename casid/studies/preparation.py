@@ -12,9 +12,9 @@ from casid.checks import hint
 from casid.consistency.alignment import aligned, moves_told
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
-from casid.outlying import outliers
+from casid.outlier_detection import outliers
 from casid.record import Record
-from casid.repetition import repeated, without_repeats
+from casid.repeated_samples import repeated, without_repeats
 from casid.samples import known_inputs
 from casid.tables import Table
 

@@ -23,13 +23,13 @@ from casid.errors import DataWarning, warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.folder import spare
-from casid.frozen import frozen
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
-from casid.repeats import tell_repeats
 from casid.saturation import longest_stop, saturated
+from casid.slow_sources import tell_repeats
 from casid.stages.stage import ROLES, Role, Stage, Task, examine_task
+from casid.stuck_channels import frozen
 from casid.studies.preparation import Cutting, Mending, SecondLogger, tell_doubled, with_inputs
 from casid.subspace.pbsid import Pbsid
 from casid.tables import placed

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from casid.folder import PARTIAL
-from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
+from casid.jobs.digests import equations_digest, own_source, source_digest, structure_digest
 from casid.jobs.store import Done, Store
 from casid.limits import TABLE_BYTES, TEXT_BYTES, check_file
 from casid.report.content import Timing

@@ -10,7 +10,7 @@ from casid.arrays import Array, BoolArray
 from casid.channels import FORCES
 from casid.record import Record
 from casid.records import Records, check_alive, same_channels, standard_deviations, stretches
-from casid.repeats import tell_repeats
+from casid.slow_sources import tell_repeats
 from casid.subspace import columns as blocks
 from casid.subspace.fourier import Spectrum, spectra
 from casid.subspace.laguerre import support

@@ -16,10 +16,10 @@ from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.errors import warn
 from casid.excitations import excitation_if_any
-from casid.frozen import frozen
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.records import Records, check_moved
+from casid.stuck_channels import frozen
 from casid.subspace import settings as choice
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows

@@ -16,8 +16,8 @@ from truths.mixture import Inline
 from truths.sums import HERE, add, job, results, surroundings
 
 from casid import Execution
-from casid.jobs.beside import FORKS
 from casid.jobs.campaigns import run_jobs
+from casid.jobs.child_process import FORKS
 
 TESTS = Path(__file__).parents[1]
 

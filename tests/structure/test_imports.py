@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from casid import DataWarning, ModelError
-from casid.jobs.origins import structure_digest
+from casid.jobs.digests import structure_digest
 from casid.structure.imports import imported_files, structure_files
 from casid.structure.modelfile import load_model
 

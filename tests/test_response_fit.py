@@ -8,7 +8,7 @@ from truths.closed_roll import TRUTH, campaign, off
 
 from casid import pbsid
 from casid.free import free_parameters
-from casid.nearest import ALLOWED, OF_ROW, BoxResponse, gain, kernel, nearest
+from casid.response_fit import ALLOWED, OF_ROW, BoxResponse, gain, kernel, nearest
 
 OMEGA = np.geomspace(0.7, 8.0, 20)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casid import Record, repeated, without_repeats
-from casid.repetition import source_interval
+from casid.repeated_samples import source_interval
 
 T = 0.01 * np.arange(2000)
 rng = np.random.default_rng(4)

@@ -14,7 +14,7 @@ import numpy as np
 from casid.display import listed
 from casid.errors import DataWarning, warn
 from casid.record import Record
-from casid.repetition import interval_of, repeats_of
+from casid.repeated_samples import interval_of, repeats_of
 
 ALIKE = 1.05  # times the interval of a source, from which on another is slower
 SOURCE = "of a source slower than the logger"

@@ -24,8 +24,8 @@ from casid import (
     response_band,
     structure_error,
 )
-from casid.embedding import _evidence, missed_quantile, missed_square
 from casid.errors import DataWarning
+from casid.undermodelling import _evidence, missed_quantile, missed_square
 
 OMEGA = np.geomspace(1.1, 8.0, 24)
 

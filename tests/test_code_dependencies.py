@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from casid.surroundings import surroundings
+from casid.code_dependencies import surroundings
 
 CELL = """
 from casid import Model, NonlinearModel, Rows, Scalar, parameter

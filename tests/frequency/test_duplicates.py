@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casid import FrequencyResponse
-from casid.frequency.repeated import same_numbers
+from casid.frequency.duplicates import same_numbers
 
 OMEGA = np.geomspace(0.3, 10, 12)
 

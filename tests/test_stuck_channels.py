@@ -8,7 +8,7 @@ import scipy.ndimage
 from truths import bodies, uh60
 
 from casid import Record, read_csv
-from casid.frozen import frozen
+from casid.stuck_channels import frozen
 
 STEPS = np.array([uh60.NOISE[name] for name in uh60.OUTPUTS])
 

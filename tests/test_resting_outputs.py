@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casid import Record, excitation
-from casid.unanswered import unanswered
+from casid.resting_outputs import unanswered
 
 RNG = np.random.default_rng(4)
 T = 0.02 * np.arange(1000)

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from casid.logs.unseen import unseen
+from casid.logs.validation_split import unseen
 
 BOTH, ROLL, PITCH = np.array([0.03, 0.02]), np.array([0.03, 1e-4]), np.array([0.0, 0.035])
 

@@ -7,7 +7,7 @@ import pytest
 from truths import closed_roll, uh60
 
 from casid import Record, outliers, read_csv
-from casid.outlying import _between, _no_value
+from casid.outlier_detection import _between, _no_value
 
 NOISE = {"ay": 0.05, "p": 0.004, "phi": 0.01}  # m/s^2, rad/s, rad
 

@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from casid.logs.attitude_columns import attitude_topics, attitudes, axis_of, turning
 from casid.logs.sources import Source
 from casid.logs.topics import Log, Topic
-from casid.logs.turns import attitude_topics, attitudes, axis_of, turning
 
 T = np.arange(0, 40, 0.02)
 P = 0.3 * np.sin(1.7 * T) + 0.2 * np.sin(0.6 * T)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from casid.arrays import Array, BoolArray
 from casid.autoregression import LAGS, SPAN, apart, autoregression, filled, slow, unsure
 from casid.record import Record
-from casid.repetition import least_step
+from casid.repeated_samples import least_step
 from casid.samples import MAD, runs
 from casid.threads import one_thread
 

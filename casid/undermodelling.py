@@ -25,7 +25,7 @@ from casid.display import Shown, counted
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.free import Free
-from casid.nearest import REACH, BoxResponse, gain, kernel, movable, nearness
+from casid.response_fit import REACH, BoxResponse, gain, kernel, movable, nearness
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.refinement import ResponseUncertainty
 from casid.threads import one_thread

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.unexplained import spread_and_noise, told, unexplained
+from casid.unexplained_variance import spread_and_noise, told, unexplained
 
 RNG = np.random.default_rng(2)
 T = 0.02 * np.arange(2000)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from casid.folder import claimed
-from casid.jobs.beside import beside
+from casid.jobs.child_process import beside
 
 
 def test_the_result_is_that_of_the_work_done_elsewhere():
@@ -43,7 +43,7 @@ def test_nobody_waits_for_work_when_the_other_half_fails():
 KILLED = """
 import os, pathlib, signal, sys, time
 from casid.folder import claimed
-from casid.jobs.beside import beside
+from casid.jobs.child_process import beside
 
 def work():
     print(os.getpid(), flush=True)

@@ -21,7 +21,7 @@ from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.display import instant
 from casid.record import Record
-from casid.repetition import ROUNDING, quantised
+from casid.repeated_samples import ROUNDING, quantised
 from casid.samples import runs
 
 SHORT, LONGER = 10, 4.0  # samples of a run that is looked at, and times the usual one

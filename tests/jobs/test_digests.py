@@ -2,8 +2,8 @@
 
 import pytest
 
-from casid.jobs import origins
-from casid.jobs.origins import (
+from casid.jobs import digests
+from casid.jobs.digests import (
     equations_digest,
     source_digest,
 )
@@ -11,15 +11,15 @@ from casid.structure.modelfile import load_model
 
 
 def test_a_library_of_another_version_makes_other_results(monkeypatch):
-    origins.source_digest.cache_clear()
+    digests.source_digest.cache_clear()
     before = source_digest()
-    real = origins.version
+    real = digests.version
     for library in ("numpy", "scipy", "casadi"):
         with monkeypatch.context() as patch:
-            patch.setattr(origins, "version", lambda n, one=library: real(n) + "x" * (n == one))
-            origins.source_digest.cache_clear()
+            patch.setattr(digests, "version", lambda n, one=library: real(n) + "x" * (n == one))
+            digests.source_digest.cache_clear()
             assert source_digest() != before
-    origins.source_digest.cache_clear()
+    digests.source_digest.cache_clear()
     assert source_digest() == before
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
-from casid.closeness import fit_percent, rms_error, theil_coefficient, whiteness
+from casid.goodness_of_fit import fit_percent, rms_error, theil_coefficient, whiteness
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf, 1e200])

@@ -19,8 +19,8 @@ from casid import (
     validate,
     without_repeats,
 )
-from casid.repeats import held_outputs, repeats_told, tell_repeats
-from casid.repetition import repeated
+from casid.repeated_samples import repeated
+from casid.slow_sources import held_outputs, repeats_told, tell_repeats
 
 T = 0.01 * np.arange(2000)
 WAVE = np.cumsum(np.random.default_rng(4).standard_normal(len(T)))
