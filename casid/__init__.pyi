@@ -47,7 +47,7 @@ from .design.plan import Design as Design
 from .display import ProgressLine as ProgressLine
 from .distances import Distance as Distance, Distances as Distances, distances as distances
 from .eigenmodes import Mode as Mode, modes as modes
-from .undermodelling import StructureError as StructureError, structure_error as structure_error
+from .undermodelling import Undermodelling as Undermodelling, structure_error as structure_error
 from .envelope import Envelope as Envelope, envelope as envelope
 from .errors import (
     ConvergenceError as ConvergenceError,

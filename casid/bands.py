@@ -3,7 +3,7 @@
 First order: the covariance J C Jᵀ of a function of the parameters, J its derivatives by central
 differences of a thousandth of each standard error, C the covariance that `Fit.std_error` is read
 from. It holds the noise and the colour of the residuals; what the structure lacks is added where a
-`StructureError` says how much that is.
+`Undermodelling` says how much that is.
 
 Two poles that may be a pair or both real have no derivatives where they meet: theirs come from
 models drawn from C, wide enough for their longer tail: twice a pole is seldom estimated as one.
@@ -22,7 +22,7 @@ from casid.fit import AnyFit
 from casid.model import Model
 from casid.propagation import drawn_models, first_order, known_errors, spread
 from casid.threads import one_thread
-from casid.undermodelling import StructureError, missed_quantile, missed_square
+from casid.undermodelling import Undermodelling, missed_quantile, missed_square
 
 EQUAL = 1e-4  # distance of poles, relative to them, that is that of rounding in a multiple one
 SAME = np.e - 1  # share of a pole within which a black box's is the same mode
@@ -122,7 +122,7 @@ class ModeBand(Shown):
 
 @one_thread
 def response_band(
-    fit: AnyFit, omega: Array, *, level: float = 0.95, error: StructureError | None = None
+    fit: AnyFit, omega: Array, *, level: float = 0.95, error: Undermodelling | None = None
 ) -> ResponseBand:
     """Frequency response of a fit with the band that its standard errors give it.
 
@@ -136,7 +136,7 @@ def response_band(
         Frequencies [rad/s].
     level : float
         Share of the bands that hold the true value, between 0 and 1.
-    error : StructureError
+    error : Undermodelling
         What the structure misses, from `structure_error`; added to the bands. Zero where the noise
         of the records hides it whole: there the band is that of the standard errors.
 
@@ -182,7 +182,7 @@ def _as_normal(level: float) -> float:
 
 
 @one_thread
-def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[ModeBand, ...]:
+def mode_bands(fit: AnyFit, *, error: Undermodelling | None = None) -> tuple[ModeBand, ...]:
     """Modes of a fit with the standard deviations of pole, frequency and damping.
 
     Of a nonlinear structure's fit they are those of the linearisation at its reference condition.
@@ -221,7 +221,7 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
     )
 
 
-def _beside(poles: ComplexArray, error: StructureError) -> Array:
+def _beside(poles: ComplexArray, error: Undermodelling) -> Array:
     """How far modes of the black box are from poles (n,), beyond their noise, (4, n).
 
     In `pole_figures`; zero where none is near. A square of noise varies by √2 of its mean. Of equal

@@ -21,7 +21,7 @@ from casid.frequency.response import FrequencyResponse
 from casid.model import Model
 from casid.propagation import spread
 from casid.threads import one_thread
-from casid.undermodelling import StructureError
+from casid.undermodelling import Undermodelling
 
 DRAWS = 100  # of what a structure misses
 FAR = 4.0  # standard deviations of readings that belong elsewhere
@@ -65,7 +65,7 @@ def handling_band(
     pair: tuple[str, str],
     omega: Array,
     *,
-    error: StructureError | None = None,
+    error: Undermodelling | None = None,
     **reading: Any,  # noqa: ANN401 - as `handling_qualities` takes them
 ) -> HandlingBand:
     """Bandwidth and phase delay of a fit's attitude response with their standard deviations.
@@ -81,7 +81,7 @@ def handling_band(
     omega : (K,) array
         Frequencies [rad/s] to read between, from the least to the largest, beyond twice the one
         where the phase passes -180°. How close they are does not matter.
-    error : StructureError
+    error : Undermodelling
         What the structure misses, from `structure_error`: its part comes from 100 draws.
     **reading
         ``kind`` ("attitude" or "rate"), ``sign``, ``attitude_command`` of `handling_qualities`.

@@ -11,7 +11,7 @@ from casid.fit import AnyFit, ParameterEstimate
 from casid.model import M, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
-from casid.undermodelling import StructureError
+from casid.undermodelling import Undermodelling
 
 STEP = 1e-3  # of a standard error
 
@@ -71,7 +71,7 @@ def _inward(away: Array, rows: Sequence[ParameterEstimate], C: Array) -> Array:
 
 
 def spread(
-    fit: AnyFit, function: Callable[[Model], Array], error: StructureError | None = None
+    fit: AnyFit, function: Callable[[Model], Array], error: Undermodelling | None = None
 ) -> Array:
     """Standard deviation of each entry of a function of the model, to first order.
 
@@ -80,7 +80,7 @@ def spread(
     return first_order(fit, function, *known_errors(fit, error))
 
 
-def known_errors(fit: AnyFit, error: StructureError | None) -> tuple[tuple[str, ...], Array]:
+def known_errors(fit: AnyFit, error: Undermodelling | None) -> tuple[tuple[str, ...], Array]:
     """Free parameters and their covariance with that of ``error``; warns of what it is about."""
     names, C = _covariance(fit)
     if isinstance(fit.model, NonlinearModel):

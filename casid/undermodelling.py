@@ -37,7 +37,7 @@ WIDE, DRAWS = 10.0, 2000  # realisations that quantiles are taken of: width in `
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class StructureError(Shown):
+class Undermodelling(Shown):
     """What a fit's structure misses of the response, as a random process.
 
     Parameters
@@ -82,7 +82,7 @@ class StructureError(Shown):
             f"{self.omega[-1]:.3g} rad/s"
         )
 
-    def of(self, fit: AnyFit) -> "StructureError":
+    def of(self, fit: AnyFit) -> "Undermodelling":
         """The same in the order of a fit's channels and parameters; ValueError: it lacks one."""
         order = {}
         for kind, wanted, known in (
@@ -202,7 +202,7 @@ def _poles(box: BlackBox) -> tuple[ComplexArray, Array, Array]:
 @one_thread
 def structure_error(
     fit: AnyFit, black_box: BlackBox, *, band: tuple[float, float] | None = None
-) -> StructureError:
+) -> Undermodelling:
     """What the structure of a fit misses of the response, from a black box of the records.
 
     Parameters
@@ -244,7 +244,7 @@ def structure_error(
     )
     moved = np.einsum("pkij,klij->plij", K, root, optimize=True).reshape(len(K), -1)
     poles, *pole_std = _poles(black_box)
-    return StructureError(
+    return Undermodelling(
         omega=omega,
         std=std / target.scale,
         covariance=moved.real @ moved.real.T + moved.imag @ moved.imag.T,

@@ -15,7 +15,7 @@ from casid import (
     Record,
     Rows,
     Scalar,
-    StructureError,
+    Undermodelling,
     handling_band,
     mode_bands,
     output_error,
@@ -345,7 +345,7 @@ def test_a_phase_delay_is_as_uncertain_as_its_draws():
 
 def test_draws_have_the_size_and_the_memory_that_are_stated():
     omega = np.geomspace(1, 10, 6)
-    made = StructureError(
+    made = Undermodelling(
         omega=omega, std=np.linspace(1, 2, 6)[:, None, None], covariance=np.eye(1),
         poles=np.array([-1.0 + 0j]), pole_std=np.zeros((2, 1)), free_names=("a",),
         inputs=("u",), outputs=("y",), size=np.full((6, 1, 1), 4.0), sure=0.0,

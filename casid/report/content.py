@@ -14,7 +14,7 @@ from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.subspace.blackbox import BlackBox
-from casid.undermodelling import StructureError, structure_error
+from casid.undermodelling import Undermodelling, structure_error
 from casid.validation import AnyModel
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ class Content:
         return {name: mode_bands(fit, error=self.missed.get(name)) for name, fit in fits.items()}
 
     @cached_property
-    def missed(self) -> dict[str, StructureError]:
+    def missed(self) -> dict[str, Undermodelling]:
         """What linear structures with a covariance miss, by a black box of the same channels."""
         box = self.results.get("pbsid")
         if not isinstance(box, BlackBox) or not box.measures:

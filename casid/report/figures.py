@@ -21,7 +21,7 @@ from casid.linear import StateSpace
 from casid.report.content import BASELINE, BLACK_BOX, CHOSEN, MATCH, OUTPUT_ERROR
 from casid.samples import SLOWER, at_instants, autocorrelation, usual_interval
 from casid.subspace.pbsid import BlackBox
-from casid.undermodelling import StructureError
+from casid.undermodelling import Undermodelling
 from casid.validation import Validation
 
 MEASURED = "measured"
@@ -87,7 +87,7 @@ def plot_magnitude(
 
 def plot_magnitudes(
     axes: Any,  # noqa: ANN401 - an array of Axes
-    channels: FrequencyResponse | StateSpace | StructureError,
+    channels: FrequencyResponse | StateSpace | Undermodelling,
     pairs: Sequence[tuple[str, str]],
     omega: Array,
     G: ComplexArray | Array,

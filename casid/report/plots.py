@@ -50,7 +50,7 @@ from casid.report.sheets import as_given, known, new_axes, styled
 from casid.residuals import Residuals
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.candidates import OrderSelection
-from casid.undermodelling import StructureError
+from casid.undermodelling import Undermodelling
 from casid.validation import AnyModel, Validation, state_space, validate
 
 SLOWEST = 1e-6  # rad/s: what is slower is an integrator
@@ -167,7 +167,7 @@ def _(value: StateSpace, ax: Any, pair: tuple[str, str] | None = None) -> Any:  
 
 
 @_draw.register
-def _(value: StructureError, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
+def _(value: Undermodelling, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
     std = np.where(value.std > 0, value.std, np.nan)
     return _magnitudes(value, value.omega, std, 0 * std, figures.MEASURED, pair, ax)
 
@@ -319,7 +319,7 @@ def _(value: HandlingQualities | TransferFunction, ax: Any) -> Any:  # noqa: ANN
 
 
 def _magnitudes(
-    channels: FrequencyResponse | StateSpace | StructureError,
+    channels: FrequencyResponse | StateSpace | Undermodelling,
     omega: Array,
     G: ComplexArray | Array,
     width: Array,

@@ -33,7 +33,7 @@ from casid.samples import runs
 from casid.structure.identifiability import Identifiability
 from casid.subspace.blackbox import BlackBox
 from casid.tabulation import markdown_table
-from casid.undermodelling import StructureError
+from casid.undermodelling import Undermodelling
 from casid.validation import Validation
 
 
@@ -104,7 +104,7 @@ def _(value: Distances) -> Cells:
 
 
 @cells.register
-def _(value: StructureError) -> Cells:
+def _(value: Undermodelling) -> Cells:
     edges = [0, len(value.omega) // 2, -1]
     heading = ("pair", *(f"std at {value.omega[k]:.2g} rad/s" for k in edges))
     rows = [
