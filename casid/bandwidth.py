@@ -93,8 +93,8 @@ def handling_band(
     """
     if reading.get("kind") == "loop":
         raise ValueError(
-            'kind="loop": expected "attitude" or "rate"; handling_qualities reads the margins of a '
-            "loop, of each of sample_models for their spread"
+            'kind="loop": expected "attitude" or "rate", as a loop has no bandwidth; read its '
+            "margins with handling_qualities, on each of sample_models for their spread"
         )
 
     def qualities(omega: Array, G: ComplexArray) -> HandlingQualities:
@@ -116,7 +116,7 @@ def handling_band(
     said = found.remarks
     if (np.isnan(std) & np.isfinite(_numbers(found))).any():
         said += (
-            "next to the estimate there is no such reading in the band, so that its standard "
+            "models next to the estimate have no such reading in the band, so its standard "
             "deviation is unknown: extend the grid, or fix what the records hardly determine",
         )
     if error is not None:
@@ -175,8 +175,8 @@ def _elsewhere(drawn: Array, center: Array, wide: Array) -> tuple[str, ...]:
     if count <= OFTEN * DRAWS:
         return ()
     return (
-        f"of {DRAWS} responses that what the structure misses allows, {count} have no bandwidth or "
-        "phase delay near these: the standard deviations are of the others",
+        f"of {DRAWS} responses that the structure's error allows, {count} have no bandwidth or "
+        "phase delay near these: the standard deviations are those of the others",
     )
 
 
@@ -188,8 +188,8 @@ def _drawn(read: Callable[[ComplexArray], Array], G: ComplexArray, errors: Compl
             found.append(read(G + error))
     if len(found) < len(errors) / 2:
         raise ValueError(
-            "what the structure misses may be as large as the response itself: neither bandwidth "
-            "nor phase delay is known; try a richer structure"
+            "what the structure misses may be as large as the response itself, so neither "
+            "bandwidth nor phase delay is known; try a richer structure"
         )
     return np.array(found)
 

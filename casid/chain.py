@@ -142,8 +142,7 @@ def identify(
     refinement : Record or sequence of Record
         What output error refines the match on; ``records`` unless given.
     sweeps, unseen : Record or sequence of Record
-        What the frequency response is estimated from, and what the models are judged on; none, no
-        frequency response, no validation.
+        Records for the frequency response and for validation; a stage without records is skipped.
     settings : mapping
         Of stages, by the name of their table in a study file: ``{"pbsid": Pbsid(order=18)}``. An
         optional stage runs if its table is there.

@@ -43,7 +43,7 @@ HALVINGS = 30  # of an interval at most
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Cover(Shown):
-    """A weight with its certificate.
+    """A weight that covers the errors of models, with its certificate.
 
     Parameters
     ----------

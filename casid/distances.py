@@ -51,7 +51,7 @@ CELLS = 1.5  # spectral lines 2π/T that one independent value of a windowed res
 @storable
 @dataclass(frozen=True, kw_only=True)
 class Distance:
-    """Of one pair in one band, in units of the errors.
+    """How far a structure is from a black box in one pair and band, in units of the errors.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def distances(
     band: tuple[float, float] | None = None,
     level: float = 0.01,
 ) -> Distances:
-    """Distance of a structure to a black box and of this to measured responses, per pair and band.
+    """Distance of a structure to a black box, and of that to measured responses, by pair and band.
 
     The fit is where the search begins, and says what is fixed and between which bounds the rest may
     move; it need not be near the black box. The model's constraints are not asked for.
@@ -249,7 +249,7 @@ def distances(
     low, high = band = _known(black_box.band, band)
     if black_box.uncertainty is not None and not black_box.measures:
         warn(
-            "distances: this black box is no measure of a structure, its errors do not hold: "
+            "distances: this black box cannot judge a structure, because its errors do not hold: "
             f"{' '.join(black_box.doubts())}"
         )
     free = movable(fit)
@@ -298,8 +298,8 @@ def _known(known: tuple[float, float], asked: tuple[float, float] | None) -> tup
         )
     if max(low / asked[0], asked[1] / high) > LEFT_OUT:
         warn(
-            f"distances: of {asked[0]:.3g} to {asked[1]:.3g} rad/s the black box knows "
-            f"{low:.3g} to {high:.3g}; beyond them it is no measure, and they are left out"
+            f"distances: of {asked[0]:.3g} to {asked[1]:.3g} rad/s the black box covers "
+            f"{low:.3g} to {high:.3g}; beyond these it cannot judge, and they are left out"
         )
     return low, high
 
@@ -315,7 +315,7 @@ def _sentence(rows: Sequence[Distance], named: set[MissingMode]) -> str:
     if worst.missing is None or worst.missing in named:
         return told
     named.add(worst.missing)
-    return f"{told}; the black box has {worst.missing}, and it none near"
+    return f"{told}; the black box has {worst.missing}, and the structure none near"
 
 
 def _inside(omega: Array, edges: tuple[float, float]) -> BoolArray:

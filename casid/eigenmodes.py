@@ -36,7 +36,7 @@ class Mode:
     name : str
         "-" where no name fits.
     pole, frequency : complex, float
-        Eigenvalue and its modulus [rad/s].
+        Eigenvalue [1/s] and its modulus, the natural frequency [rad/s].
     damping : float
         Damping ratio; ±1 for a real pole.
     time_constant, period : float

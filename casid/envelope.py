@@ -143,8 +143,8 @@ def envelope(
         warn(
             f"{type(fit.model).__name__} is extrapolated at "
             f"{', '.join(f'{speed:.4g}' for speed in made.speed[made.beyond])} m/s, outside what "
-            f"the fit is of ({flown}); standard errors say nothing of that: stay inside, or fly "
-            "there and fit again"
+            f"the fit is from ({flown}); standard errors do not include that: stay inside, or "
+            "fly there and fit again"
         )
     if made.doubts:
         warn(unbalanced(fit.model, made.doubts))
@@ -208,9 +208,9 @@ def _apart(whole: Envelope, local: Envelope) -> tuple[str, ...]:
     most = -scipy.special.ndtri(APART / (2 * max(int(known.sum()), 1)))
     far = sorted(zip(*np.nonzero(known & (np.abs(off) > most)), strict=True))
     return tuple(
-        f"{local.names[j]} at {local.speed[i]:.3g} m/s {local.values[i, j]:.3g} ± "
+        f"{local.names[j]} at {local.speed[i]:.3g} m/s is {local.values[i, j]:.3g} ± "
         f"{local.std_error[i, j]:.2g} by itself, {whole.values[i, j]:.3g} ± "
-        f"{whole.std_error[i, j]:.2g} of the one model"
+        f"{whole.std_error[i, j]:.2g} by the one model"
         for i, j in sorted(far, key=lambda place: -abs(off[place]))
     )
 

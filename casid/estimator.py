@@ -19,7 +19,7 @@ class Estimator(Protocol):
         bounds: Bounds | None = None,
         near: AnyFit | None = None,
     ) -> Fit[M, Any]:
-        """Estimate.
+        """Estimate the free parameters of a model from data.
 
         Parameters
         ----------

@@ -97,15 +97,15 @@ class Excitation(Shown):
     def headline(self) -> str:
         """The median share of every input from outside, and where it is smallest."""
         if self.singular:
-            return "outputs are predictable without error, as without noise: singular, no evidence"
+            return "outputs exactly predictable (no noise?): feedback and excitation look alike"
         said = []
         for name, share, inside in zip(self.inputs, self.lower.T, self.within.T, strict=True):
             if inside.any():
                 k = int(np.argmin(np.where(inside, share, np.inf)))
                 middle = float(np.median(share[inside]))
                 said.append(f"{name} {middle:.0%} ({share[k]:.0%} at {self.omega[k]:.2g} rad/s)")
-        none = "no input moves enough to tell what of it comes from outside"
-        return f"from outside come of {', '.join(said)}" if said else none
+        none = "no input moves enough to tell what share of it comes from outside"
+        return f"share of each input that comes from outside: {', '.join(said)}" if said else none
 
     def ends(self) -> dict[str, float]:
         """Frequency [rad/s] above which an input holds little but what is fed back, by its name.
@@ -127,8 +127,8 @@ class Excitation(Shown):
     def doubts(self) -> tuple[str, ...]:
         """Why a model from these inputs may be one of the controller; empty where it is not."""
         said = [
-            f"{name}: at {instant(start)}-{instant(end)} s inputs move and all outputs rest. "
-            "Nothing flies there; cut it off."
+            f"{name}: at {instant(start)}-{instant(end)} s the inputs move but no output does, "
+            "so the aircraft is not flying. Cut that stretch off."
             for name, start, end in self.unanswered
         ]
         if self.singular:
@@ -174,8 +174,8 @@ class Excitation(Shown):
             return ""
         named = " and ".join(f"{a:.2g}-{b:.2g}" for a, b in bands)
         return (
-            f"All inputs together: at {named} rad/s fewer things move {', '.join(self.inputs)} "
-            "from outside than there are inputs: fly every axis, one at a time."
+            f"At {named} rad/s the inputs {', '.join(self.inputs)} are not moved independently "
+            "from outside: fly every axis, one at a time."
         )
 
     def _answer(self) -> str:
@@ -187,13 +187,13 @@ class Excitation(Shown):
                 if name in RATES and part < APART
             ]
             return (
-                f"Only {' and '.join(apart)} goes with the inputs: vibration, gusts or something "
-                "unmeasured makes the rest. Nothing precise follows from such a rate."
+                f"The inputs explain only {' and '.join(apart)}: vibration, gusts or something "
+                "unmeasured causes the rest. Nothing precise can be estimated from such a rate."
             ) * bool(apart)
         best = self.outputs[int(np.argmax(share))]
         return (
-            f"No output answers the inputs: {share.max():.0%} of {best} goes with them, less of "
-            "the others. Nothing flies here, or something else moves it."
+            f"No output responds to the inputs: they explain {share.max():.0%} of {best}, and "
+            "less of the others. The aircraft is not flying, or something else moves it."
         )
 
 

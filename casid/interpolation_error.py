@@ -65,10 +65,11 @@ def with_steps_told(after: R, before: Flown, lag: Mapping[str, float]) -> R:
     if wrong:
         dt = float(np.median(np.diff(after.t)))
         warn(
-            f"record {after.name!r}: {', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} held "
-            f"in steps, which do not fall on the record's new instants and count from the next: "
-            f"delays are off by up to {dt:g} s, whatever their stated errors. Move the outputs the "
-            "other way instead, or by whole samples; resample to an interval all steps fall on"
+            f"record {after.name!r}: {', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} "
+            "held in steps that do not fall on the record's new instants and count only from the "
+            f"next: delays are off by up to {dt:g} s, whatever their stated errors. Move the "
+            "outputs the other way instead, or by whole samples; resample to an interval all "
+            "steps fall on"
         )
     return after
 
@@ -93,9 +94,10 @@ def with_rest_told(after: R, before: Flown) -> R:
         dt = float(np.median(np.diff(before.t)))
         warn(
             f"record {after.name!r}: between the samples that are kept {', '.join(lost)} "
-            f"{'moves' if len(lost) == 1 else 'move'} otherwise, {max(lost.values()):.1%} is lost: "
-            f"a step may be off by {dt:g} s, and delays, lags and gains by several stated errors. "
-            "Resample instead, which filters outputs alike, or keep all samples"
+            f"{'moves' if len(lost) == 1 else 'move'} otherwise, by up to "
+            f"{max(lost.values()):.1%}, which is lost: a step may be off by {dt:g} s, and "
+            "delays, lags and gains by several stated errors. Resample instead, which filters "
+            "outputs alike, or keep all samples"
         )
     return after
 
@@ -122,6 +124,6 @@ def warn_of_corners(record: Flown, dt: float) -> None:
         are = "is no straight line" if len(wrong) == 1 else "are no straight lines"
         warn(
             f"record {record.name!r}: between samples every {dt:g} s {', '.join(wrong)} {are}, "
-            f"{max(lost.values()):.1%} is lost: gains, lags and delays may be off by as much, "
-            "several stated errors. Resample to a shorter interval, or keep the samples"
+            f"and up to {max(lost.values()):.1%} is lost: gains, lags and delays may be off by "
+            "as much, several stated errors. Resample to a shorter interval, or keep the samples"
         )

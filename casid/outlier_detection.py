@@ -36,7 +36,7 @@ SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 
 @one_thread
 def outliers(record: Record) -> BoolArray:
-    """Samples of outputs that neither those before and after nor the other channels bear out.
+    """Samples of outputs that neither their neighbours nor the other channels confirm.
 
     A sample is compared with what an autoregression makes of all others, lost ones left out: six
     robust deviations (median of absolute deviations) of the innovations away, and of this

@@ -125,7 +125,8 @@ def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
     if unknown.any():
         warn(
             f"the data do not determine {', '.join(np.array(fit.free_names)[unknown])}, which "
-            "count as known here: what depends on them lacks their part of its error; fix some"
+            "count as known here: quantities that depend on them lack that part of their error; "
+            "fix some"
         )
     return fit.free_names, np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
 

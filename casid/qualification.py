@@ -46,7 +46,7 @@ class Tolerance:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Qualification(Shown):
-    """How a model does in the bands.
+    """How a model does in tolerance bands around what was measured.
 
     Parameters
     ----------
@@ -132,9 +132,9 @@ class Qualification(Shown):
         if noisy := self.named(self.chance < EVEN):
             told += f"; noise alone may leave the band: {listed(noisy)}"
         if moved := self.named(self.excused):
-            told += f"; passed with a constant beyond the tolerance: {listed(moved)}"
+            told += f"; passed only with a constant beyond the tolerance: {listed(moved)}"
         if self.still:
-            told += f"; nothing leaves the band of trim in {listed(self.still)}"
+            told += f"; no measurement leaves the tolerance band around trim: {listed(self.still)}"
         if none := self.named(~judged):
             told += f"; not judged: {listed(none)}"
         if self.idle:

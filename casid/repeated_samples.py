@@ -25,7 +25,7 @@ REGULAR = 0.4  # of the runs, at least, last one interval of the source
 
 
 def repeated(record: Record) -> BoolArray:
-    """Samples that repeat the one before in a channel held between those of a slower source.
+    """Samples that repeat the previous one, in channels whose source is slower than the log.
 
     Equal samples are no repetition where a channel rests (in runs three times as long as its usual
     one, and longer than five samples, or where all that moves around is a last digit).

@@ -91,7 +91,7 @@ class Residuals(Shown):
 
 @one_thread
 def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residuals:
-    """Correlations of what a model leaves of records, with themselves and with the inputs.
+    """Correlations of a model's residuals with themselves and with the inputs.
 
     Parameters
     ----------

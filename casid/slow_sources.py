@@ -63,9 +63,9 @@ def repeats_told(records: Sequence[Record], outputs: Collection[str] | None = No
     logged = f"{1 / min(source.logged for source in sources):.3g}"
     late = max(source.late for source in sources)
     return (
-        f"{listed(names, 10)} repeat{'s' * (len(names) == 1)} samples {SOURCE}{some}: {rates} Hz, "
-        f"logged at {logged} Hz. Taken for measurements, they make delays up to "
-        f"{1e3 * late:.3g} ms too long and standard errors too small: take the repeated ones for "
+        f"{listed(names, 10)} repeat{'s' * (len(names) == 1)} samples {SOURCE}{some}: {rates} "
+        f"Hz, logged at {logged} Hz. Treated as measurements, they make delays up to "
+        f"{1e3 * late:.3g} ms too long and standard errors too small: treat the repeated ones as "
         'missing (without_repeats; repeats = "mask" in [channels] of a study)'
     )
 

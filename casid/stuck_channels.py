@@ -64,7 +64,7 @@ class Frozen:
         if self.lost == "rows":
             what = f"all channels stand still {when}: the logger stalled"
         if self.dart:
-            what = f"{self.channel} leaves its way {when} and returns"
+            what = f"{self.channel} jumps away {when} and returns"
             return f"{what}: unless it was moved so, leave these rows out (Record.take)"
         if self.source is not None:
             return f"{what}: unless it was moved so twice, leave these rows out (Record.cut)"

@@ -7,11 +7,11 @@ because its size follows the geometric mean m of abs(G)² over neighbouring freq
     E|Δ|² = m ⟨(|E|² - E|ε|² - E|η|²)/m⟩,   E the fit's response less the black box's,
 
 ε and η the errors of box and fit by noise, ⟨ ⟩ the same mean. Where noise may hide what is missed,
-this difference is a poor guess, often below zero: as clearly as all pairs together say that the
-structure is not all, taken is what a normal number, the difference give or take its standard
-deviation by ε, is in the mean if not below zero. G. C. Goodwin, M. Gevers, B. Ninness,
-IEEE Transactions on Automatic Control 37(7), 1992 (stochastic embedding), with levels from a black
-box of the same records.
+this difference is a poor guess, often below zero. In proportion to the evidence of all pairs
+together that something is missed, it is replaced by the mean of a normal variable truncated at zero
+(the difference, with its standard deviation by ε). G. C. Goodwin, M. Gevers, B. Ninness, IEEE
+Transactions on Automatic Control 37(7), 1992 (stochastic embedding), with levels from a black box
+of the same records.
 """
 
 from dataclasses import dataclass, replace
@@ -49,9 +49,9 @@ class Undermodelling(Shown):
     covariance : (nf, nf) array
         What it makes of the free parameters, were they estimated from the response.
     poles : (m,) complex array
-        Of the black box, imaginary parts not below zero [rad/s].
+        Of the black box, imaginary parts not below zero [1/s].
     pole_std : (2, m) array
-        Standard deviations of their real and imaginary parts [rad/s].
+        Standard deviations of their real and imaginary parts [1/s].
     free_names, inputs, outputs : tuple of str
         Parameters and channels.
     size : (K, ny, nu) array
@@ -92,8 +92,8 @@ class Undermodelling(Shown):
         ):
             if missing := [name for name in wanted if name not in known]:
                 raise ValueError(
-                    f"the structure error knows no {kind} {missing[0]!r}, only "
-                    f"{', '.join(known)}: ask for that of this fit, structure_error(fit, black_box)"
+                    f"the structure error has no {kind} {missing[0]!r}, only {', '.join(known)}: "
+                    "compute that of this fit, structure_error(fit, black_box)"
                 )
             order[kind] = [known.index(name) for name in wanted]
         rows, columns, free = order.values()
@@ -203,7 +203,7 @@ def _poles(box: BlackBox) -> tuple[ComplexArray, Array, Array]:
 def structure_error(
     fit: AnyFit, black_box: BlackBox, *, band: tuple[float, float] | None = None
 ) -> Undermodelling:
-    """What the structure of a fit misses of the response, from a black box of the records.
+    """Estimate what the structure of a fit misses of the response, by a black box of the records.
 
     Parameters
     ----------

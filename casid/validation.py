@@ -121,7 +121,7 @@ class Validation(Shown):
 
     @property
     def predicted(self) -> str:
-        """How poorly, how far ahead, from what and why; "" if all was simulated."""
+        """How records were predicted and why, as sentences; "" if all were simulated."""
         far = sorted({each for each in self.horizon if np.isfinite(each)})
         if not far:
             return ""
@@ -130,8 +130,8 @@ class Validation(Shown):
         why = f": unstable models grow ({', '.join(growing)})" if growing else ""
         bounded = ", and from inputs ahead that keep outputs bounded" if self.closed_loop else ""
         return (
-            f"{self.adrift}Predicted up to {reach} s ahead, each time from a state estimated on "
-            f"the past alone{bounded}, not simulated over the whole record{why}.{self.missed}"
+            f"{self.adrift}Predicted up to {reach} s ahead, each time from a state estimated from "
+            f"past samples{bounded}, not simulated over the whole record{why}.{self.missed}"
         )
 
     @property
@@ -142,7 +142,7 @@ class Validation(Shown):
             for record, begin in zip(self.measured, self.begins, strict=True)
             for i in np.flatnonzero(np.greater(*movement(record, begin)))
         ]
-        return f" Not judged, moved before the first prediction: {listed(named)}." * bool(named)
+        return f" Not judged, as they moved before the predictions: {listed(named)}." * bool(named)
 
     @property
     def adrift(self) -> str:
@@ -152,8 +152,8 @@ class Validation(Shown):
             any(measures(self, name, i)[1] < 0 for name in grow) for i in range(len(self.outputs))
         ]
         names = [name for name, each in zip(self.outputs, poor, strict=True) if each]
-        why = "such growth is not there, or a controller answers it: closed_loop=True allows for it"
-        return f"Worse than by their means are predicted {listed(names)}: {why}. " * bool(names)
+        why = "this growth is not real, or a controller answers it (then use closed_loop=True)"
+        return f"Predictions of {listed(names)} are worse than their means: {why}. " * bool(names)
 
 
 @one_thread

@@ -108,4 +108,4 @@ def test_a_deviation_that_nothing_tells_is_told():
     found = handling_band(wide, PAIR, np.geomspace(0.2, 60.0, 200), attitude_command=True)
     assert found.bandwidth == pytest.approx(by_hand(fit["Lp"].value, fit["tau"].value)[0])
     assert np.isnan(found.bandwidth_std)
-    assert "next to the estimate there is no such reading in the band" in found.headline()
+    assert "models next to the estimate have no such reading in the" in found.headline()

@@ -71,7 +71,7 @@ def test_what_a_structure_lacks_is_named_with_its_mode():
     assert abs(worst.missing.pole - swing[swing.imag > 0][0]) < 0.1
     told = found.sentences()
     assert worst.told() in told[0]
-    assert f"the black box has {worst.missing}, and it none near" in told[0]
+    assert f"the black box has {worst.missing}, and the structure none near" in told[0]
     assert all(str(worst.missing) not in sentence for sentence in told[1:])  # once is enough
 
 
@@ -233,7 +233,7 @@ def test_senseless_bands_and_levels_are_refused(given, word):
 
 def test_frequencies_that_the_black_box_does_not_know_are_left_out():
     low, high = box(1).band
-    with pytest.warns(DataWarning, match="beyond them it is no measure"):
+    with pytest.warns(DataWarning, match="beyond these it cannot judge"):
         found = distances(TRUTH, box(1), band=(low, 10 * high))
     assert found.bands[-1][1] == pytest.approx(high)
     with pytest.raises(ValueError, match="expected frequencies among these"):
@@ -242,7 +242,7 @@ def test_frequencies_that_the_black_box_does_not_know_are_left_out():
 
 def test_a_black_box_that_is_no_measure_is_told():
     doubted = replace(box(1), biased=True, remarks=("Noise fed back biases it.",))
-    with pytest.warns(DataWarning, match="no measure of a structure.*Noise fed back biases it"):
+    with pytest.warns(DataWarning, match="cannot judge a structure.*Noise fed back biases it"):
         distances(TRUTH, doubted)
 
 

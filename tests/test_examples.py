@@ -155,7 +155,7 @@ def test_the_black_box_of_the_uh60_has_the_response_of_its_linear_model():
 def crazyflie():
     study = read_study(ROOT / "examples/crazyflie/study.toml")
     # One sample of all motor commands, where the set points change.
-    with pytest.warns(DataWarning, match=r"B2_circle_fast_rep1: thrust leaves its way from 20\.73"):
+    with pytest.warns(DataWarning, match=r"B2_circle_fast_rep1: thrust jumps away from 20\.73"):
         return study, read_records(study)
 
 

@@ -35,7 +35,7 @@ STEPS = flown(stepped(), "zoh")
     ids=["later", "earlier", "resampled", "joined"],
 )
 def test_steps_that_fall_on_no_instant_are_told(read):
-    with pytest.warns(DataWarning, match="lat is held in steps, which do not fall"):
+    with pytest.warns(DataWarning, match="lat is held in steps that do not fall"):
         read()
 
 

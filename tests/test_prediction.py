@@ -160,7 +160,7 @@ def test_an_output_that_moved_before_the_first_prediction_has_no_verdict():
     ]
     assert np.isnan(measures(result, "truth", 1)).tolist() == [False, True, True]
     assert np.isfinite(measures(result, "truth", 0)).all()
-    assert result.predicted.endswith("before the first prediction: b of doublet.")
+    assert result.predicted.endswith("before the predictions: b of doublet.")
 
 
 def test_a_record_that_moves_all_along_is_predicted_after_three_horizons():
@@ -231,8 +231,8 @@ def test_inputs_of_a_controller_tell_of_disturbances_ahead():
     assert (alone.fit["truth"] < -100).all()
     assert "inputs ahead that keep outputs bounded" in told.predicted
     assert "bounded" not in alone.predicted
-    assert "Worse than by their means are predicted a, b" in alone.predicted
-    assert "Worse than" not in told.predicted
+    assert "Predictions of a, b are worse than their means" in alone.predicted
+    assert "worse than" not in told.predicted
 
 
 @pytest.mark.second
@@ -260,7 +260,7 @@ def test_a_record_in_which_an_output_rests_does_not_make_growth_doubtful():
     for rate, told in ((0.7, False), (0.8, True)):  # better and worse than the mean, by 24 and 31 %
         wrong = replace(truth, A=np.array([[rate]]))
         said = validate({"wrong": wrong}, records, horizon=3.0).adrift
-        assert ("predicted p: such growth" in said) == told
+        assert ("Predictions of p are worse" in said) == told
 
 
 @pytest.mark.second

@@ -48,7 +48,7 @@ def test_a_constant_larger_than_the_tolerance_is_told():
     found = qualify(flown(y=y), tolerances={"p": "3 deg/s"})
     assert found.passed.all()
     assert found.offset[0, 0] == pytest.approx(5 / 3)
-    assert "passed with a constant beyond the tolerance: p of step" in found.headline()
+    assert "passed only with a constant beyond the tolerance: p of step" in found.headline()
     assert "constant" not in qualify(flown(y=y), tolerances={"p": "6 deg/s"}).headline()
 
 
@@ -65,7 +65,7 @@ def test_a_record_in_which_nothing_moves_is_named():
     assert qualify(moved).still == ()
     found = qualify(rest)
     assert (found.passed.all(), found.still) == (True, ("step",))
-    assert "nothing leaves the band of trim in step" in found.headline()
+    assert "no measurement leaves the tolerance band around trim: step" in found.headline()
     y = np.zeros((500, 1))
     y[300] = 3.1 * DEG  # the usual band is of 3 deg/s or, of what grows, 10 %
     assert qualify(flown(0.0, y)).still == ()
@@ -130,8 +130,8 @@ def test_an_output_that_the_model_lacks_or_that_nobody_measured_is_not_judged():
     ]
     has = StateSpace([[-2.0]], [[4.0]], [[1.0]] * 2, [[0.0]] * 2, None, ("lat",), ("p", "phi"))
     seen = validate({"lacks": lacks, "has": has}, records)
-    rest = "; nothing leaves the band of trim in whole, part"
-    off = "; passed with a constant beyond the tolerance: p of whole, p of part"
+    rest = "; no measurement leaves the tolerance band around trim: whole, part"
+    off = "; passed only with a constant beyond the tolerance: p of whole, p of part"
     told = f"lacks: 2 of 2 passed{off}{rest}; not judged: phi of whole, phi of part"
     assert qualify(seen, "lacks").headline() == told
     found = qualify(seen, "has")

@@ -36,7 +36,7 @@ def test_repeated_outputs_are_told_with_rates_records_and_the_delay_they_make():
     flown = Record(T, WAVE[:, None], y, ("lat",), ("p", "q", "r"), "slow")
     said = repeats_told([flown])
     assert said.startswith("q, r repeat samples of a source slower than the logger: 20 to 50 Hz, ")
-    assert "logged at 100 Hz. Taken" in said
+    assert "logged at 100 Hz. Treated" in said
     assert "delays up to 20 ms too long" in said  # samples are 0 to 40 ms old
     other = replace(flown, y=flown.y[:, [0, 0, 0]], name="quick")
     assert "r repeats samples of a source slower than the logger in record 'slow': 20 Hz" in (

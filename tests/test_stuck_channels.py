@@ -190,7 +190,7 @@ def test_a_stick_that_leaves_its_way_for_a_few_samples_is_named(count, axis):
     (found,) = frozen(replace(record, u=u))
     assert (found.channel, found.dart, found.lost) == (record.inputs[axis], True, "input")
     assert (found.start, found.duration) == pytest.approx((record.t[120], 0.02 * count))
-    assert found.told().startswith(f"{record.inputs[axis]} leaves its way from 2.4 s for")
+    assert found.told().startswith(f"{record.inputs[axis]} jumps away from 2.4 s for")
 
 
 def test_sticks_that_are_moved_quickly_do_not_dart():

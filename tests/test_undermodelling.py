@@ -41,7 +41,7 @@ def fitted(structure):
     records = [record.decimate(2) for record in campaign(1, 4)]
     if structure == "true":
         return output_error(TRUTH, records)
-    with pytest.warns(DataWarning, match="nothing is explained of ay .*, phi "):
+    with pytest.warns(DataWarning, match="nothing of ay .*, phi "):
         return output_error(NoSideslip(), records)
 
 
@@ -378,7 +378,7 @@ def test_an_error_is_that_of_channels_and_parameters_not_of_their_places():
     np.testing.assert_allclose([b.real_std for b in first], [b.real_std for b in second])
     other = replace(whole, outputs=("ax", *whole.outputs[1:]))
     for ask in (response_band, partial(handling_band, pair=("phi", "lat"))):
-        with pytest.raises(ValueError, match="structure error knows no output 'ay', only ax"):
+        with pytest.raises(ValueError, match="structure error has no output 'ay', only ax"):
             ask(fit, omega=np.geomspace(0.5, 40, 200), error=other)
     with pytest.raises(ValueError, match="knows no free parameter"):
         mode_bands(fit, error=replace(whole, free_names=("a",) * len(whole.free_names)))

@@ -70,7 +70,7 @@ class Guidelines:
 @storable
 @dataclass(frozen=True, kw_only=True)
 class DerividNotes:
-    """What a fit in dB and degrees tells beside its estimates.
+    """What a fit in dB and degrees reports beside its estimates.
 
     Parameters
     ----------

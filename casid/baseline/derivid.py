@@ -46,7 +46,7 @@ from casid.threads import one_thread
 from casid.truncated import OnBounds, beside_bounds
 
 GROWN = (
-    "and all bands take residuals for noise of their size, but what a structure misses is none: "
+    "and all bands treat residuals as noise, but what a structure misses is not noise: "
     "parameters can be off by more"
 )
 
@@ -137,9 +137,9 @@ class Derivid:
                 [f"{o} by {i}" for o, i in left_out(measured, problem.comparison, model)]
             )
             warn(
-                f"derivid: the pairs that are fitted do not determine {listed(lost)} one by one: "
-                "their errors are infinite, their values where the search ended; fix or tie some "
-                "of them, or add responses that tell them apart"
+                f"derivid: the fitted pairs do not determine {listed(lost)} one by one: their "
+                "errors are infinite, and their values are only where the search ended; fix or "
+                "tie some of them, or add responses that tell them apart"
                 + f" (measured, but with too little coherence: {beside})"
                 * bool(beside)
             )
@@ -219,13 +219,13 @@ def _one_response(data: Target | Sequence[Target]) -> FrequencyResponse:
     given = several(data)
     if len(given) != 1:
         raise ValueError(
-            f"derivid fits one frequency response, not {len(given)}; put them together with "
+            f"derivid fits one frequency response, not {len(given)}; combine them with "
             "merge_responses([...])"
         )
     if not isinstance(given[0], FrequencyResponse):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
             f"the target is a {type(given[0]).__name__}: derivid fits a measured "
-            "FrequencyResponse; a black box is what `match` takes"
+            "FrequencyResponse; use `match` for a black box"
         )
     return given[0]
 
@@ -307,7 +307,7 @@ def _scatter(
     there = np.outer(np.array(rows) >= 0, np.array(columns) >= 0) & used[place]
     if not np.isfinite(frf.error[there]).all():
         warn(
-            "derivid: the response states no errors at some points that are fitted; std_error and "
+            "derivid: the response states no errors at some of the fitted points; std_error and "
             "all bands are √(H⁻¹) of the cost, which does not know the noise: give random_error"
         )
         return None

@@ -95,7 +95,11 @@ class HandlingQualities(Shown):
     def headline(self) -> str:
         """What was read off."""
         if self.kind == "loop":
-            verdict = {True: "satisfactory", False: "not satisfactory", None: "not all in the band"}
+            verdict = {
+                True: "satisfactory",
+                False: "not satisfactory",
+                None: "not all in the band",
+            }
             said = f"{self.output}/{self.input}, open loop, margins {verdict[self.satisfactory]}"
             return said + self._presumed() * (self.satisfactory is True)
         delay = "" if np.isnan(self.phase_delay) else f", phase delay {self.phase_delay:.3f} s"
@@ -188,13 +192,16 @@ def _bandwidth(
     again = again[again > x180 + 1e-9]  # growing modes may have raised it through that before
     if len(again):
         remarks.append(
-            f"the phase passes -180° again, at {', '.join(f'{at:.3g}' for at in np.exp(again))} "
-            "rad/s: ω_180 is the first, and what is lost between them is no phase delay"
+            f"the phase crosses -180° again, at {', '.join(f'{at:.3g}' for at in np.exp(again))} "
+            "rad/s: ω_180 is the first crossing, and phase lost between the crossings is no "
+            "phase delay"
         )
     if np.isnan(by_phase):
-        remarks.append("the phase is below -135° in the whole band: no phase bandwidth in it")
+        remarks.append("the phase is below -135° in the whole band: no phase bandwidth can be read")
     if np.isnan(by_gain) and not attitude_command:
-        remarks.append("the gain is less than 6 dB above that at ω_180 in the whole band")
+        remarks.append(
+            "the gain is below 6 dB above that at ω_180 in the whole band: no gain bandwidth"
+        )
     top = min(2 * np.exp(x180), found.omega[-1])
     read = (found.omega >= np.nanmin([*both, np.exp(x180)])) & (found.omega <= top)
     remarks += _doubts(gamma[read])
@@ -211,8 +218,8 @@ def _several(what: str, level: str, at: Array, x180: float) -> list[str]:
     if len(places) < 2:
         return []
     return [
-        f"{what} is {level} at {', '.join(places)} rad/s, of which the last one counts: the margin "
-        "is too small below it as well"
+        f"{what} is {level} at {', '.join(places)} rad/s; the last of these is used, although "
+        "the margin is too small below it as well"
     ]
 
 
@@ -220,7 +227,9 @@ def _phase_delay(x: Array, phase: Array, x180: float) -> tuple[float, float, lis
     """τ_p from the end points and from a line through ω_180 and the points up to 2ω_180."""
     omega_180 = np.exp(x180)
     if x180 + np.log(2) > x[-1] + 1e-9:
-        beyond = f"2ω_180 = {2 * omega_180:.3g} rad/s lies beyond the grid: no phase delay"
+        beyond = (
+            f"2ω_180 = {2 * omega_180:.3g} rad/s lies beyond the grid: no phase delay can be read"
+        )
         return np.nan, np.nan, [beyond]
     fine = np.linspace(omega_180, 2 * omega_180, 41)
     curve = np.interp(np.log(fine), x, phase)
@@ -230,9 +239,9 @@ def _phase_delay(x: Array, phase: Array, x180: float) -> tuple[float, float, lis
     remarks = []
     if abs(delay - line) > ALIKE * max(abs(delay), abs(line)):
         remarks.append(
-            f"the phase delay is {delay:.3g} s from the end points and {line:.3g} s from a line: "
-            "the phase is no straight line from ω_180 to 2ω_180, as by a lightly damped mode "
-            "there; judge by the curve"
+            f"the phase delay is {delay:.3g} s from the end points and {line:.3g} s from a "
+            "fitted line: the phase is not a straight line from ω_180 to 2ω_180, for instance "
+            "because of a lightly damped mode there; judge by the curve"
         )
     return float(delay), float(line), remarks
 
@@ -250,12 +259,12 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
         k = -1 if last else int(np.argmin(np.abs(margins)))
         phase_margin, crossover = float(margins[k]), float(np.exp(at_gain[k]))
     else:
-        remarks.append("the gain does not pass 0 dB in the band: no phase margin in it")
+        remarks.append("the gain does not cross 0 dB in the band: no phase margin can be read")
     if len(at_phase):
         k = int(np.argmin(np.abs(spare)))
         gain_margin, omega_180 = float(spare[k]), float(np.exp(at_phase[k]))
     else:
-        remarks.append("the phase does not pass -180° in the band: no gain margin in it")
+        remarks.append("the phase does not cross -180° in the band: no gain margin can be read")
     remarks += _instability(found, around)
     wide = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
     places = np.concatenate([at_gain, at_phase])
@@ -281,13 +290,14 @@ def _instability(found: HandlingQualities, around: Encirclements) -> list[str]:
         if around.beginning != "untold":
             return []
         return [
-            f"{begins}: so begins a loop of the wrong sign, or one whose lower frequencies are "
-            "missing; check the sign, or extend the grid to lower frequencies"
+            f"{begins}: a loop of the wrong sign begins like this, and so does one whose lower "
+            "frequencies are missing; check the sign, or extend the grid to lower frequencies"
         ]
     if around.beginning == "reversed":
         return [
-            f"{begins}: so begins a loop of the wrong sign, and the closed loop is unstable, "
-            "unless the response changes its sign below the band; check the sign (sign=-1)"
+            f"{begins}: a loop of the wrong sign begins like this, so the closed loop is "
+            "unstable, unless the response changes its sign below the band; check the sign "
+            "(sign=-1)"
         ]
     falling = _passing(x, found.gain_db, 0.0, downwards=True, turns=False)
     lost = falling[_phase_margin(falling, x, found.phase_deg) < 0]
@@ -330,9 +340,9 @@ def _coarse(found: HandlingQualities, places: Array) -> list[str]:
     after = np.clip(np.searchsorted(np.log(found.omega), places), 1, len(found.omega) - 1)
     wide = {int(k) for k in after if abs(np.diff(found.phase_deg)[k - 1]) > COARSE}
     return [
-        f"the phase moves by {abs(found.phase_deg[k] - found.phase_deg[k - 1]):.0f}° between "
-        f"{found.omega[k - 1]:.3g} and {found.omega[k]:.3g} rad/s, where numbers are read, without "
-        "a point between them: give the response on a finer grid there"
+        f"the phase changes by {abs(found.phase_deg[k] - found.phase_deg[k - 1]):.0f}° between "
+        f"{found.omega[k - 1]:.3g} and {found.omega[k]:.3g} rad/s, where numbers are read, "
+        "without a point between them: give the response on a finer grid there"
         for k in sorted(wide)
     ]
 

@@ -76,12 +76,12 @@ class TransferFunction(Shown):
 
     @property
     def poles(self) -> ComplexArray:
-        """Roots of the denominator [rad/s]."""
+        """Roots of the denominator [1/s]."""
         return np.roots(self.denominator).astype(complex)
 
     @property
     def zeros(self) -> ComplexArray:
-        """Roots of the numerator [rad/s]."""
+        """Roots of the numerator [1/s]."""
         return np.roots(self.numerator).astype(complex)
 
     def response(self, omega: Array) -> ComplexArray:
@@ -322,7 +322,7 @@ class _TransferFunctionFit:
         alone = 1 / (np.sqrt(2) * np.linalg.norm(J, axis=0))
         if lost := list(names[_root_of_inverse(J) > UNTOLD * alone]):
             return f"the measurement does not determine {', '.join(lost)}; lower the order"
-        return "" if settled else "J may still get better; lower the order, or choose another band"
+        return "" if settled else "J may still improve; lower the order, or choose another band"
 
     def _free_jacobian(self, x: Array) -> tuple[Array, BoolArray]:
         """Derivatives of the residuals by the unknowns off their bounds, and which these are."""

@@ -300,8 +300,9 @@ def _warn_of_minima(results: Sequence[CaseResult], cases: Sequence[Case], freest
         if allowed.within(freest) and case.increase < -WORSE * (1 + abs(case.cost)):
             warn(
                 f"case {case.name!r} lies within {freest.name!r}, yet its cost is lower by "
-                f"{-case.increase:.3g}, and {freest.name!r} came no lower from there: increases "
-                f"count from a local minimum; start {freest.name!r} elsewhere"
+                f"{-case.increase:.3g}, and {freest.name!r} came no lower when started from "
+                f"there: increases are relative to a local minimum; start {freest.name!r} "
+                "elsewhere"
             )
 
 

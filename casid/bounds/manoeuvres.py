@@ -333,7 +333,7 @@ def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tupl
         raise ValueError('no candidates; expected {"name": model, ...}')
     if len(records) < FEWEST:
         raise ValueError(
-            f"{len(records)} manoeuvres: each is left out in turn, which takes {FEWEST} or more"
+            f"{len(records)} manoeuvres: each is left out in turn, which needs {FEWEST} or more"
         )
     first = next(iter(candidates.values())).outputs
     for name, model in candidates.items():

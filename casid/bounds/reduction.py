@@ -47,7 +47,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Reduction(Tabled):
-    """What was held, step by step.
+    """Parameters that were held, step by step.
 
     Parameters
     ----------

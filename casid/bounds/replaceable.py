@@ -86,8 +86,9 @@ def parts_of(
     for group in groups:
         if own := unmoved(records, group, inputs):
             raise ValueError(
-                f"groups: without {', '.join(group)} nothing moves {', '.join(own)}, which no fit "
-                "to the others could tell; deal the manoeuvres out otherwise, or leave these in"
+                f"groups: without {', '.join(group)} nothing moves {', '.join(own)}, so a fit to "
+                "the others cannot tell what they do; group the manoeuvres differently, or leave "
+                "these in"
             )
     return parts
 
@@ -102,7 +103,7 @@ def _one_by_one(records: Sequence[Record], inputs: Sequence[str]) -> list[tuple[
         if len(parts) < FEWEST:
             raise ValueError(f"each manoeuvre is left out in turn, but {told}; fly each axis twice")
         warn(
-            f"{told}: manoeuvres that nothing replaces are not left out, and candidates not judged "
-            "by them; fly each axis twice"
+            f"{told}: manoeuvres that nothing replaces are not left out, and candidates are not "
+            "judged by them; fly each axis twice"
         )
     return parts

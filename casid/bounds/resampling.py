@@ -163,8 +163,9 @@ def monte_carlo(
     quiet = [name for name in model.outputs if not noise.get(name, 0.0) > 0]
     if quiet:
         raise ValueError(
-            f"noise names none of {', '.join(quiet)}: each output needs one, as that of a measured "
-            "output is estimated; a very small one, or a structure without that output"
+            f"noise lacks {', '.join(quiet)}: every output needs a standard deviation, as is "
+            "estimated for measured ones; give a very small one, or a structure without that "
+            "output"
         )
     flown = [piece for record in several(records) for piece in record.stretches()]
     clean = [_simulated(model, record) for record in flown]
@@ -223,8 +224,8 @@ def bootstrap(
         flown = stretches(records)
     if (most := max((each.N * each.dt for each in flown), default=np.inf) / 3) < block:
         raise ValueError(
-            f"block={block}: expected {most:.3g} s at most, a third of the longest record; of "
-            "longer blocks there are too few to draw from"
+            f"block={block}: expected {most:.3g} s at most, a third of the longest record; there "
+            "are too few longer blocks to draw from"
         )
     model, nonlinear = fit.model, isinstance(fit.model, NonlinearModel)
     flying, x0 = _flying(fit, len(flown), tuple(getattr(estimator, "state_biases", ())))
@@ -282,8 +283,8 @@ def _initial(estimator: Estimator, flying: Model, x0: Array) -> KnownInitial | N
         return None
     if isinstance(flying, NonlinearModel):
         warn(
-            "bootstrap: initial states of a nonlinear structure that are known begin all draws "
-            "alike; what their errors add to the scatter is missing"
+            "bootstrap: known initial states of a nonlinear structure are the same in all draws; "
+            "the scatter lacks what their errors add"
         )
         return None
     away, std = np.zeros_like(x0), np.zeros(len(flying.states))
@@ -331,7 +332,7 @@ def _check_residuals(fit: AnyFit, residuals: Sequence[Array], *, known: bool) ->
         ratio = np.nanvar(every, axis=0) / np.diag(np.asarray(fit.R))
         if not (np.abs(np.log(ratio)) < SAME_POWER).all():
             raise ValueError(
-                "the fit is not one of these records: they leave residuals of "
+                "the fit was not estimated from these records: they leave residuals of "
                 f"{ratio.max():.3g} times its variances; give the records it was estimated from"
             )
         return
@@ -342,8 +343,9 @@ def _check_residuals(fit: AnyFit, residuals: Sequence[Array], *, known: bool) ->
     room, more = SAME_COST * len(every), cost - fit.cost
     if not (abs(more) <= room or (known and more < 0)):  # the fit's has what is known before
         raise ValueError(
-            f"the fit is not one of these records: it ended with a cost of {fit.cost:.6g}, with "
-            f"these it has {cost:.6g}; give the records it was estimated from, in their order"
+            "the fit was not estimated from these records: it ended with a cost of "
+            f"{fit.cost:.6g}, but with these it has {cost:.6g}; give the records it was "
+            "estimated from, in their order"
         )
 
 

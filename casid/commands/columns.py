@@ -63,7 +63,7 @@ def refuse_beside_study(**given: object) -> None:
     options = [f"--{name}" for name, value in given.items() if value]
     if options:
         raise ValueError(
-            f"{', '.join(options)} with a study: it says itself which records, channels, units and "
-            "fixed parameters; name it alone and change it there, or name a model "
-            "(MODEL.py:CLASS) or records instead"
+            f"{', '.join(options)} cannot be given with a study, which itself states records, "
+            "channels, units and fixed parameters; name it alone and change it there, or name a "
+            "model (MODEL.py:CLASS) or records instead"
         )

@@ -36,11 +36,11 @@ from casid.textfile import read_json
 @click.option(
     "--mat-version",
     type=click.Choice(get_args(formats.MatVersion)),
-    help="Of a record written as .mat, 5 unless given.",
+    help="Version of the .mat file of a record, 5 unless given.",
 )
 @click.option("--dt", type=float, help="Sampling interval [s] of a fit written as .c.")
 @click.option("--pade", type=int, help="Order of the delays' approximation in .fmu, .m.")
-@click.option("--steps", type=int, help="Runge-Kutta steps an interval of a nonlinear .c.")
+@click.option("--steps", type=int, help="Runge-Kutta steps per interval of a nonlinear .c.")
 @HOLD
 def convert(
     source: str,
@@ -92,7 +92,7 @@ NONLINEAR = {".py": ("--pade",), ".c": ("--steps",)}
 def _refuse(path: str | Path, kind: str, given: Mapping[str, Any]) -> None:
     """Refuse options that say nothing about a file: ValueError."""
     if wrong := [name for name, value in given.items() if value not in (None, {})]:
-        raise ValueError(f"{wrong[0]} says nothing about {path}, {kind}; leave it out")
+        raise ValueError(f"{wrong[0]} does not apply to {path}, {kind}; leave it out")
 
 
 def _convert_result(

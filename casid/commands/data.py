@@ -148,7 +148,7 @@ def _records(
 def _show(console: Console, found: Inspection) -> None:
     for facts in found.records:
         console.print(_channel_table(facts, found.inputs), "")
-    console.print(Text("5 %, 50 %, 95 %: below these frequencies that share of the power lies.\n"))
+    console.print(Text("5 %, 50 %, 95 %: that share of the power lies below these frequencies.\n"))
     if len(found.inputs) > 1:
         console.print(_correlation_table(found), "")
     if found.kinematics.channels:

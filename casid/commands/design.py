@@ -66,7 +66,7 @@ def _given(
 @click.command()
 @STUDY
 @OUTPUT
-@click.option("--duration", type=float, help="Of the manoeuvre [s], 60 unless given.")
+@click.option("--duration", type=float, help="Duration of the manoeuvre [s], 60 unless given.")
 @_given("--stick", "Largest deviation of an input, SI; the largest flown unless given.")
 @_given("--rate", "Largest rate of an input, SI per second; free unless given.")
 @_given("--response", "Largest deviation of an output, SI; the largest flown unless given.")
@@ -190,8 +190,8 @@ def _noise(study: Study) -> Mapping[str, float]:
     """Standard deviations of the outputs, which the study has to say where no fit does."""
     if study.noise is None:
         raise ValueError(
-            "nothing says how noisy the outputs are: run casid identify by output error, whose "
-            "residuals say it (a filter's hold no turbulence), or give the study the tables "
+            "the noise of the outputs is not known: run casid identify with output error, whose "
+            "residuals show it (a filter's do not hold turbulence), or give the study the tables "
             "[noise], with seed = 0, and [noise.std], with "
             f"{', '.join(f'{name} = ...' for name in study.model.outputs)}"
         )
@@ -226,7 +226,7 @@ def _doubts(study: Study, known: AnyFit | Model) -> tuple[str, ...]:
     if (told := told_of_fit(study)) is not None:
         said += [each for each, good in told.headlines.items() if good is False]
         if poor := [each.output for each in told.verdicts if each.word == POOR]:
-            said.append(f"{', '.join(poor)} of records that it has not seen: predicted poorly")
+            said.append(f"it predicts {', '.join(poor)} of unseen records poorly")
     if not said:
         return ()
     return (
@@ -320,10 +320,14 @@ def _say(console: Console, made: Design, structure: Model, doubts: Sequence[str]
 
 def _page(made: Design, settings: DesignSettings, doubts: Sequence[str]) -> str:
     close = [f"- {a} and {b}: {c:+.2f}" for a, b, c in made.correlated()]
-    blind = ["## Not told apart by this flight", "\n".join(f"- {line}" for line in made.blind)]
+    blind = [
+        "## What this flight does not distinguish",
+        "\n".join(f"- {line}" for line in made.blind),
+    ]
     chosen = (
-        f"Of steps and multisine, {made.kind} was chosen by the criterion {settings.criterion} "
-        "over errors of one 3-2-1-1 an axis; the ratios of this table may say otherwise."
+        f"Of steps and multisine, {made.kind} was chosen by the criterion {settings.criterion}, "
+        "relative to errors of one 3-2-1-1 per axis; the ratios of this table may suggest the "
+        "other."
     )
     overlap = [made.overlap] if len(made.inputs) > 1 else []
     parts = [

@@ -301,14 +301,14 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
             rows = bursts(channel.outliers, facts.interval)
             said.append(
                 f"{facts.name}: {channel.name} has {n} outlier{'s' * (n > 1)}, the first at "
-                f"{instant(channel.outliers[0])} s{in_a_row(rows)}; "
-                "mark as missing what no instrument measures (Record.mask)"
+                f"{instant(channel.outliers[0])} s{in_a_row(rows)}; mark as missing what no "
+                "instrument measures (Record.mask)"
             )
         if channel.source:
             rates = f"{1 / channel.source:.3g} Hz, logged at {1 / facts.interval:.3g} Hz"
             said.append(
-                f"{facts.name}: {channel.name} repeats samples: its source has {rates}; take the "
-                'repeated ones for missing ([channels] repeats = "mask", without_repeats)'
+                f"{facts.name}: {channel.name} repeats samples: its source has {rates}; treat "
+                'the repeated ones as missing ([channels] repeats = "mask", without_repeats)'
             )
         if channel.missing:
             said.append(f"{facts.name}: {channel.name} lacks {channel.missing:.1%} of its samples")
@@ -330,11 +330,11 @@ def _excitation_advice(
             interval = max(each.interval for each in facts)
             if (share := _noise_share(facts, i)) > NOISY:
                 said.append(
-                    f"{name} has noise of {share:.0%} of what it moves in all records: if that is "
-                    "its instrument's, and not what a controller makes of noisy sensors, gains "
-                    f"come out small by up to {share**2:.1%} and standard errors too small, as "
-                    "estimators take inputs for known; filter all channels alike "
-                    "(Record.resample), or record what the actuator was told"
+                    f"the noise of {name} is {share:.0%} of its movement in all records: if its "
+                    "instrument causes that, and not a controller that passes on sensor noise, "
+                    f"gains come out too small by up to {share**2:.1%} and standard errors too "
+                    "small, because estimators assume that inputs are known exactly; filter all "
+                    "channels alike (Record.resample), or record the command to the actuator"
                 )
             darts = {part.channel for each in facts for part in each.frozen if part.dart}
             if best.band[2] * interval * PER_PERIOD > 2 * np.pi and name not in darts:

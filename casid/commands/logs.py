@@ -100,8 +100,8 @@ def _show_clocks(console: Console, draft: Draft) -> None:
     if draft.moves:
         caution(
             console,
-            f"kinematics asks for {moves_told(draft.moves)}. What comes from outside is told of "
-            "channels so moved; the study offers it, commented out",
+            f"kinematics asks for {moves_told(draft.moves)}. The shares from outside are those "
+            "of channels so shifted; the study offers the shifts, commented out",
         )
 
 

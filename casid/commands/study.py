@@ -334,8 +334,8 @@ def _idle(study: Study) -> tuple[str, ...]:
     said = []
     if study.noise is not None and not any(each.noise for each in study.roles.values()):
         said.append(
-            "[noise] is added to no record, only casid design reads it: write noise = true in the "
-            "[records.ROLE] of simulated records that want it."
+            "[noise] is added to no record, and only casid design reads it: write noise = true "
+            "in the [records.ROLE] of simulated records that need it."
         )
     tolerances = study.settings.get("qualification", Bands()).tolerances
     if none := [name for name in tolerances if name not in study.channels.outputs]:
@@ -359,7 +359,7 @@ def _unread(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:
         why = "" if np.isfinite(found.G).any() else "; ".join(found.flags) or "all points are NaN"
     except ValueError as error:
         why = str(error)
-    return (f"Nothing of the frequency response can be had: {why}.",) if why else ()
+    return (f"No frequency response can be estimated: {why}.",) if why else ()
 
 
 def _untold(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:

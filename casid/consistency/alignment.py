@@ -29,12 +29,12 @@ def aligned(
         return moves | mates, (*([_shared(mates)] if mates else []), *why, *more)
     (lag,) = {*moves.values()}
     unseen = [name for name in fewer if name not in _against(check, moves)]
-    stay = f"{', '.join(moves)} are taken to be of one clock, and stay with the inputs"
+    stay = f"{', '.join(moves)} are assumed to share one clock, and stay with the inputs"
     return dict.fromkeys(fewer, -lag), (*([_shared(unseen)] if unseen else []), stay)
 
 
 def _shared(names: Collection[str]) -> str:
-    return f"{', '.join(names)}: taken to be of the same clock as the others that move"
+    return f"{', '.join(names)}: assumed to share the clock of the others that move"
 
 
 def _mates(check: KinematicCheck, moves: Moves, loggers: Collection[Collection[str]]) -> Moves:
@@ -79,6 +79,6 @@ def moves_told(moves: Mapping[str, float]) -> str:
         return "none"
     lags = ", ".join(f"{name} {1e3 * lag:+.0f} ms" for name, lag in moves.items())
     return (
-        f"{lags}; inputs stay, so that their delays to {', '.join(moves)} change by as much: if "
-        "inputs share the clock of these, name both in channels.shift, by these values"
+        f"{lags}; inputs stay, so their delays to {', '.join(moves)} change by as much: if "
+        "inputs share the clock of these, name both in channels.shift, with these values"
     )

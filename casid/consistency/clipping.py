@@ -42,8 +42,8 @@ class Limit:
         """In words."""
         return (
             f"{name} goes no further than {self.extreme:.3g} {unit}, where {attitude} implies "
-            f"{abs(self.beyond):.2g} ± {self.error:.1g} {unit} more: its sensor was at its limit, "
-            "so that no scale is told; leave these samples out"
+            f"{abs(self.beyond):.2g} ± {self.error:.1g} {unit} more: its sensor was at its "
+            "limit, so no scale is given; leave these samples out"
         )
 
 

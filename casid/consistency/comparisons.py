@@ -104,11 +104,14 @@ def judged(
     holds = not any(spoiled(equation, odd) for equation in against)
     tolerance = ROUGH if rough & set(against) or not holds else SCALE
     if ended:
-        said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "
+        said = (
+            f"{name} is {LATE:g} s late or early against {against[0]}, the limit of the search, "
+            "and perhaps more: "
+        )
         return replace(check, remarks=(f"{said}look at the clocks of both",))
     if not seen:
         turned = name in reversed_channels(solution)
-        said = f"{name} has the opposite sign of what {_implied(against)}; no scale is told"
+        said = f"{name} has the opposite sign of what {_implied(against)}; no scale is given"
         return replace(check, remarks=(said,) if turned else ())
     return replace(check, remarks=_remarks(check, tolerance, spread, apart, signs, holds=holds))
 

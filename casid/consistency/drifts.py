@@ -48,8 +48,8 @@ class Drifts:
                 f"{' '.join(names)} drift{'s' * (len(names) == 1)} against {others}, "
                 f"{'later' if late > 0 else 'earlier'} by {1e6 * abs(late):.4g} ± "
                 f"{1e6 * error:.2g} ppm, {1e3 * abs(late) * self.duration:.2g} ms within "
-                f"{self.duration:.3g} s: set their clock right (Record.shift, drift {-late:.3g}); "
-                "skews told are those at the start of records"
+                f"{self.duration:.3g} s: set their clock right (Record.shift, drift "
+                f"{-late:.3g}); the skews given are those at the start of records"
             )
         return tuple(said)
 

@@ -129,10 +129,12 @@ class KinematicCheck(Shown):
             for names in ({*moves} - {*own}, {*lates} - {*moves} | untold - {*moves})
         )
         why = (
-            f"{more}: of the logger of {', '.join(own)}, and no other skew is seen" if more else ""
+            f"{more}: shifted with {', '.join(own)}, as they share a logger and show no other skew"
+            if more
+            else ""
         )
         told = ", ".join(f"{name} {1e3 * late:+.0f} ms" for name, (late, _) in lates.items())
-        rest = f"{stay} not: skews of its logger's channels differ ({told})" if stay else ""
+        rest = f"{stay} not shifted: skews of its logger's channels differ ({told})" if stay else ""
         return moves | alone, tuple(each for each in (why, rest) if each)
 
     @property
@@ -174,13 +176,13 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     level = _maybe_level(flights, trim or {}, weightless=weightless)
     if weightless:
         names -= {*VELOCITIES, *FORCES}
-        roughly = ", attitudes roughly, as about level flight" if level else ""
+        roughly = ", and attitudes only roughly, as if about level flight" if level else ""
         notes.append(
             "az has no gravity in it, so the records are perturbations: velocities are not "
             f"checked{roughly}; give the trim, or total values"
         )
     unfit = {
-        name: f"{name} is counted in steps of {step:.3g} rad, too coarse for what it moves"
+        name: f"{name} is counted in steps of {step:.3g} rad, too coarse for its movement"
         for name in {*ATTITUDES} & names
         if (step := coarse_step(flights, name))
     }
@@ -237,7 +239,8 @@ def _reconstructed(
         for n in solution.channels
     )
     untold = [
-        f"the records do not tell about {each.channel}: it moves too little, or too alike others"
+        f"the records say nothing about {each.channel}: it moves too little, or too much like "
+        "others"
         for each in checks
         if not (each.determined or each.remarks or each.channel in solution.limits)
     ]
@@ -337,7 +340,7 @@ def _roughly(
             absent = f"there is no {listed(sorted(lacking))}" if lacking else ""
             found.setdefault(level or absent, []).append(each.channel)
     return [
-        f"a scale of {listed(channels)} is told from {ROUGH:.0%} on only: {why}"
+        f"a scale of {listed(channels)} is reported only if it is off by {ROUGH:.0%} or more: {why}"
         for why, channels in found.items()
     ]
 

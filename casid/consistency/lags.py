@@ -57,8 +57,8 @@ def clocks_apart(
     for angle, what in makes.items():
         if other := _another(list(longest.values()), angle, near):
             said.append(
-                f"{angle} goes with what {other} turns rather than with what {what}: look at the "
-                "axes of both; kinematics unchecked"
+                f"{angle} follows what {other} turns rather than what {what}: look at the axes "
+                "of both; kinematics unchecked"
             )
             continue
         found = {k: _late(longest[k], angle, near) for k in labels if k in longest}
@@ -70,7 +70,7 @@ def clocks_apart(
         if np.ptp([late for late, _ in told.values()]) > near / 2:
             split = True
             said.append(
-                f"{angle} comes after what {what} by another time in each record ({each}): "
+                f"{angle} comes after what {what} by a different time in each record ({each}): "
                 "set the clocks of their loggers record by record (Record.shift, Record.join); "
                 "kinematics unchecked"
             )

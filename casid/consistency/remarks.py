@@ -148,8 +148,8 @@ def misplaced(place: Array, errors: Array) -> tuple[str, ...]:
     axes = zip(place, errors, ("forward", "right", "down"), strict=True)
     where = ", ".join(f"{r:.2f} ± {e:.1g} m {axis}" for r, e, axis in axes if np.isfinite(r))
     return (
-        f"ax ay az read as accelerometers {where} of where velocities are measured: move them to "
-        "the centre of gravity, or give the structure their place",
+        f"ax ay az look like accelerometers {where} of where velocities are measured: move them "
+        "to the centre of gravity, or give the structure their place",
     )
 
 
@@ -173,5 +173,7 @@ def against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, ..
         if abs(found - due) <= ROUGH * GRAVITY and not leans:
             continue
         why = (mistake(float(found / due)) if due else "") or "look at its sign, unit and bias"
-        said.append(f"{name} is {found:.3g} m/s^2 in trim, gravity makes it {due:.3g}: {why}")
+        said.append(
+            f"{name} is {found:.3g} m/s^2 in trim, but gravity would make it {due:.3g}: {why}"
+        )
     return tuple(said)

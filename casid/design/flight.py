@@ -89,7 +89,7 @@ class Flight:
                 return r
             r = r / min(HALF, most + SAFE)
         raise ValueError(
-            "the nonlinear structure runs away after inputs of any size, though its linearisation "
+            "the nonlinear structure diverges after inputs of any size, though its linearisation "
             "at the trim does not: check its equations there, or design for model.at(trim)"
         )
 

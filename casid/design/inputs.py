@@ -340,16 +340,22 @@ def _blind(seen: Identifiability, made: Design, *, derived: bool) -> tuple[str, 
     unseen = tuple(name for name in seen.insensitive if name not in told)
     usual = () if derived else unseen
     lines = str(replace(seen, confounded=tuple(lost), insensitive=usual)).splitlines()[1:]
-    elsewhere = "what acts away from this trim only is told at another condition"
+    elsewhere = "parameters that act only away from this trim need another flight condition"
     if derived and unseen:
         lines.insert(
-            0, f"no output feels {listed(unseen)} here: {elsewhere}; what acts nowhere, fix or drop"
+            0,
+            (
+                f"no output depends on {listed(unseen)} here: {elsewhere}; fix or drop those "
+                "that act nowhere"
+            ),
         )
     if known := [name for name in seen.insensitive if name in told]:
         also = f"; {elsewhere}" * derived
-        lines.append(f"no output feels {listed(known)} here, known before only{also}")
+        lines.append(
+            f"no output depends on {listed(known)} here: only prior knowledge determines them{also}"
+        )
     earlier = [listed(each) for each in seen.confounded if each not in lost]
-    lines += [f"told apart by what is known before only: {names}" for names in earlier]
+    lines += [f"distinguished only by prior knowledge: {names}" for names in earlier]
     return tuple(lines)
 
 
@@ -376,8 +382,8 @@ def _check_told(problem: Problem, F: Array, used: Mapping[str, float]) -> None:
     if share.min() > 1:
         held = max(used, key=lambda name: used[name])
         raise ValueError(
-            f"the limits leave nothing: within that of {held!r} the best told parameter, "
-            f"{free.names[problem.rows[share.argmin()]]}, has a standard error of "
+            f"the limits are too tight: within that of {held!r} even the best determined "
+            f"parameter, {free.names[problem.rows[share.argmin()]]}, has a standard error of "
             f"{share.min():.2g} times its size: widen it, or fly longer"
         )
 

@@ -39,9 +39,9 @@ class Flown:
         every = np.concatenate(list(next(sweep.influence(np.eye(n)[None])))).reshape(-1, n)
         if not np.isfinite(every).all():
             raise ValueError(
-                f"{type(e.model).__name__} has an equation without a derivative in the flight, as "
-                "a root has none at zero, so that nothing says what it tells: write one that has, "
-                "or design for model.at(trim)"
+                f"{type(e.model).__name__} has an equation without a derivative somewhere in the "
+                "flight, as a square root has at zero, so its information cannot be computed: "
+                "write it differentiably, or design for model.at(trim)"
             )
         J, unknown = np.split(every, [e.nf], axis=1)
         basis = spanned(unknown)

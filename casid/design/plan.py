@@ -121,11 +121,11 @@ class Design(Shown):
         of = f"of {listed(self.matter)} " * bool(self.matter)
         before = ", each with what is known before" * bool(np.isfinite(self.before).any())
         parts = [
-            f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors {of}"
-            f"{mean:.3g} times those of 3-2-1-1 (geometric mean), {worst:.3g} at worst ({name})"
-            f"{before}",
+            f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors "
+            f"{of}{mean:.3g} times those of 3-2-1-1 (geometric mean), {worst:.3g} at worst "
+            f"({name}){before}",
             self._gain(mean),
-            f"without {listed(self.untold)}, which no input tells apart" * bool(self.untold),
+            f"without {listed(self.untold)}, which no input identifies" * bool(self.untold),
             self.warning(),
         ]
         return "; ".join(filter(None, parts))
@@ -133,16 +133,16 @@ class Design(Shown):
     def _gain(self, mean: float) -> str:
         """The flight time that is saved; what to do where there is no gain."""
         if mean >= 1:
-            return "no better than the 3-2-1-1: fly that, or give more iterations or flight time"
+            return "no better than the 3-2-1-1: fly that, or allow more iterations or flight time"
         if self.instead == np.inf:
-            return f"{in_minutes(self.t[-1])} of flight for what no time of 3-2-1-1 tells"
+            return f"{in_minutes(self.t[-1])} of flight for what no time of 3-2-1-1 identifies"
         if not self.instead > self.t[-1]:
             return ""
         own, other = in_minutes(float(self.t[-1])), in_minutes(self.instead)
         return f"{own} of flight instead of {other}" if own != other else ""
 
     def warning(self) -> str:
-        """For how many plausible aircraft limits, and for what motions errors do not hold."""
+        """For how many plausible aircraft limits do not hold, and in what motions errors do not."""
         said = []
         if self.unheld:
             why = "not held by the feedback given"
@@ -154,9 +154,10 @@ class Design(Shown):
             )
         if self.unfelt:
             said.append(
-                "standard errors are those of small motions, of which the linearisation at the "
-                f"trim feels nothing of {listed(self.unfelt)}: of large ones others may be larger; "
-                "with a trim without unknowns they are those of the nonlinear flight"
+                "standard errors are those of small motions, where the linearisation at the trim "
+                f"does not depend on {listed(self.unfelt)}; in large motions the errors of the "
+                "others may be larger; with a trim without unknowns they would be those of the "
+                "nonlinear flight"
             )
         return "; ".join(said)
 
@@ -237,13 +238,13 @@ class Design(Shown):
         return "\n\n".join(filter(None, told))
 
     def noise(self) -> str:
-        """What noise that feedback hears does to sticks; nothing if it hears none."""
+        """What sensor noise does to the sticks through the feedback; "" if nothing."""
         if not self.used_by_noise:
             return ""
         said = (
-            "Used and at worst are without noise. What the feedback makes of the noise that it "
-            "hears, white from sample to sample, moves sticks beside the card: nine in ten flights "
-            "stay below the last two columns, if the model is right."
+            "Used and at worst do not include noise. Feedback also passes sensor noise, white "
+            "from sample to sample, on to the sticks, beside the card: if the model is right, "
+            "nine flights in ten stay below the last two columns."
         )
         return " ".join((said, *self.exceeded()))
 
@@ -254,20 +255,23 @@ class Design(Shown):
         alone = [name for name in over if self.used_by_noise[name] > 1.0]
         lines = []
         for names, remedy in (
-            (alone, "No card keeps that: filter what the feedback hears"),
-            ([n for n in over if n not in alone], "Filter what it hears, fly a smaller card"),
+            (alone, "No card avoids that: filter the feedback signals"),
+            (
+                [n for n in over if n not in alone],
+                ("Filter the feedback signals, fly a smaller card"),
+            ),
         ):
             told = [f"{n} {over[n]:.0%} (alone {self.used_by_noise[n]:.0%})" for n in names]
             if told:
                 lines.append(
-                    "The noise that the feedback hears takes sticks beyond their limits; of these "
-                    f"nine in ten flights stay below: {listed(told)}. {remedy}, or take the limit "
-                    "for that of the card alone."
+                    "Sensor noise, passed on by the feedback, drives sticks beyond their limits; "
+                    f"nine flights in ten stay below: {listed(told)}. {remedy}, or let the limit "
+                    "apply to the card alone."
                 )
         return tuple(lines)
 
     def margin(self) -> str:
-        """Which aircraft limits are kept with; nothing if no other than the model was asked."""
+        """For which aircraft limits are kept; "" if only the model was considered."""
         if not self.plausible:
             return ""
         beside = " beside the errors of the fit" if np.isfinite(self.before).any() else ""
@@ -275,11 +279,12 @@ class Design(Shown):
         held = ""
         if self.unheld:
             kept = KEPT * (1 - self.unheld / self.plausible)
-            held = f" and that are held, {kept:.0%} of all with such values"
+            held = f" and that stay under control, {kept:.0%} of all with such values"
         return (
-            f"{kept_so} with nine in ten aircraft whose values are scattered, lognormally, by "
-            f"{self.spread:.0%}{beside} about those believed{held}. One that is further off may "
-            "exceed them: if you know yours less well, say so (spread, or an ensemble)."
+            f"{kept_so} by nine in ten aircraft whose values are scattered, lognormally, by "
+            f"{self.spread:.0%}{beside} about the values given{held}. One that is further off "
+            "may exceed them: if you know your aircraft less well, say so (spread, or an "
+            "ensemble)."
         )
 
     def on_the_card(self) -> str:
@@ -291,8 +296,8 @@ class Design(Shown):
             if card != stick
         ]
         return bool(told) * (
-            "Limits are those of the sticks with feedback; the card, which feedback adds to, "
-            f"deviates from trim by {listed(told)} at most."
+            "Limits apply to the sticks, feedback included; the card, to which feedback adds, "
+            f"deviates from trim by at most {listed(told)}."
         )
 
     def to_csv(self) -> str:

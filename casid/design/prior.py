@@ -48,9 +48,9 @@ def check_balance(model: Model, trim: Trim | Mapping[str, float] | None) -> None
     if not abs(rate) <= OUT_OF_BALANCE:
         raise ValueError(
             f"{type(model).__name__} is not in balance at "
-            f"{'its reference condition' if trim is None else 'the trim given'}, where "
-            f"d/dt {state} = {rate:.3g}: say where it is flown, "
-            "trim=find_trim(model, {...}, unknown=(...))"
+            f"{'its reference condition' if trim is None else 'the trim given'}, where d/dt "
+            f"{state} = {rate:.3g}: name the condition that is flown, trim=find_trim(model, "
+            "{...}, unknown=(...))"
         )
 
 
@@ -118,14 +118,14 @@ def noise_of(
     if noise is None:
         if fit is None or fit.R is None:
             raise ValueError(
-                "nothing says how noisy the outputs are: give noise={output: standard deviation}"
+                "the noise of the outputs is not known: give noise={output: standard deviation}"
             )
         if not tells_noise(fit):
             raise ValueError(
-                "noise of a fit by filter error is of its predictions a sample ahead, and says "
-                "nothing of what turbulence does to the outputs; design from a fit by output error "
-                "(process_noise=False), whose errors hold that, or give noise={output: standard "
-                "deviation}, turbulence included"
+                "the noise of a filter-error fit is that of its predictions one sample ahead, "
+                "and does not show what turbulence does to the outputs; design from a fit by "
+                "output error (process_noise=False), whose residuals include it, or give "
+                "noise={output: standard deviation}, turbulence included"
             )
         return np.diag(_largest(fit, band))
     check_known("noise names", noise, model.outputs)
@@ -173,9 +173,9 @@ def known_before(free: Free, fit: AnyFit | None) -> Array:
     shares = np.sqrt(np.diag(C)[good]) / free.scale[free.index][rows]
     if good.any() and (usual := float(np.median(shares))) < NOISELESS:
         warn(
-            f"the fit states errors of {usual:.1g} of its parameters' sizes, as of records without "
-            "noise: they do not count as known before; its residuals are no flight's noise either, "
-            "so give that, or fit records with noise"
+            f"the fit states errors of {usual:.1g} of its parameters' sizes, as of records "
+            "without noise: they do not count as prior knowledge; its residuals are not those of "
+            "a flight either, so give noise, or fit records that have noise"
         )
         return F
     F[np.ix_(rows, rows)] = covariance(C[np.ix_(good, good)])

@@ -143,8 +143,8 @@ class Problem:
         away = [name for name in matter if name in lost]
         if away or not found.any():
             raise ValueError(
-                f"no input tells {(away or lost)[0]!r} alone, of {', '.join(lost)} only "
-                "combinations: fix one of these, DesignSettings(fixed=...)"
+                f"no input identifies {(away or lost)[0]!r} alone, only combinations of "
+                f"{', '.join(lost)}: fix one of these, DesignSettings(fixed=...)"
             )
         return found
 
@@ -221,7 +221,8 @@ def _check_unit(duration: float, count: int, settings: DesignSettings) -> None:
     if settings.unit is not None and settings.unit > longest > 0:
         raise ValueError(
             f"unit = {settings.unit:g} s: {duration:g} s have no room for a 3-2-1-1 on "
-            f"{counted(count, 'input')} to compare with: {longest:.3g} s at most, or leave it out"
+            f"{counted(count, 'input')} to compare with: use {longest:.3g} s at most, or leave "
+            "unit out"
         )
 
 

@@ -45,9 +45,9 @@ MIRROR = 0.4  # logarithm of a factor, at most, of a channel whose sign alone is
 ONE = 0.5  # of the typical difference, by which those of an input's outputs differ at most
 
 WHY = (
-    "the response is between them. Look for a scale, a sign or a clock of that record's channels, "
-    "another flight condition or mass, or an aircraft that is nonlinear where amplitudes differ "
-    "(`distortion`); leave the record out and compare"
+    "the response is a compromise. Look for a scale, a sign or a clock of that record's "
+    "channels, another flight condition or mass, or an aircraft that is nonlinear where "
+    "amplitudes differ (`distortion`); leave the record out and compare"
 )
 
 

@@ -35,7 +35,7 @@ LINEAR = 25.0  # square of one of them, up to which it counts: single points pro
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Distortion(Tabled):
-    """What noise and what amplitude make of a response.
+    """How much of a response's change between amplitudes noise explains.
 
     Parameters
     ----------

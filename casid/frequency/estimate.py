@@ -78,9 +78,9 @@ class Estimate:
         for i, name in lacking.items():
             output = records[0].outputs[i]
             warn(
-                f"record {name!r} has no sample of {output!r}, whose response is that of averaged "
-                "spectra, with larger errors than local models have: leave the record out, or "
-                "estimate that output by itself"
+                f"record {name!r} has no sample of {output!r}, so its response comes from "
+                "averaged spectra, with larger errors than local models have: leave the record "
+                "out, or estimate that output by itself"
             )
         heard = [i for i in heard if i not in lacking]
         if not heard:
@@ -91,8 +91,9 @@ class Estimate:
         local = local_response(parts, omega, carried, references, end)
         if local is None:
             warn(
-                "losses leave no stretch for local models at some frequency: the response is that "
-                "of averaged spectra, with larger errors; leave the record with most losses out"
+                "losses leave no stretch for local models at some frequency, so the response "
+                "comes from averaged spectra, with larger errors; leave the record with most "
+                "losses out"
             )
             return self
         rows = np.isfinite(self.G[:, heard]) & np.isfinite(local.G) & (np.abs(local.G) > 0)

@@ -97,7 +97,9 @@ class SpectralAnalysis:
         silent = still(records, (*inputs, *outputs))
         active = [i for i, name in enumerate(inputs) if name not in silent]
         if not active:
-            raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
+            raise ValueError(
+                f"no input moves in any record ({', '.join(inputs)}): nothing excites the aircraft"
+            )
         moving = self._moving(even, [inputs[i] for i in active], outputs)
         lengths, parts, counted = _parts(moving, omega, lengths, self)
         usable = _usable(omega, lengths, parts, counted)

@@ -24,12 +24,12 @@ COMPLEX = ("G", *CORRELATIONS)
 MOST = {"coherence": 1.0} | dict.fromkeys(PAIRWISE[2:], np.inf)
 ROUNDING = 1e-9
 FED_BACK = (
-    "noise fed back into {!r} makes half of a response after it or more, left out (NaN): without "
-    "input from outside it would be the controller's inverse"
+    "half or more of the response after {!r} is noise that is fed back into it, so it is left "
+    "out (NaN): without input from outside it would be the controller's inverse"
 )
 UNDRIVEN = (
-    "references hardly move {!r}, left out (NaN): a response through them would be what noise that "
-    "is fed back makes of it"
+    "the references hardly move {!r}, so its responses are left out (NaN): they would show only "
+    "fed-back noise"
 )
 
 

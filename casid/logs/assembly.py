@@ -111,11 +111,11 @@ def hold_told(
             does = "moves by steps"
             if mates and name not in mates:
                 does = f"counts as moving by steps, as {listed(sorted(mates))} beside it does"
-            said.append(f"{name} {does}: {how}; were it lines, delays were {half} longer")
+            said.append(f"{name} {does}: {how}; if it were lines, delays would be {half} longer")
         else:
             said.append(
-                f'{name} is taken as lines between its samples (hold "foh"); were it held from one '
-                f'to the next ("zoh"), delays were {half} shorter'
+                f'{name} is taken as lines between its samples (hold "foh"); if it were held '
+                f'from one to the next ("zoh"), delays would be {half} shorter'
             )
     return said
 
@@ -136,16 +136,16 @@ def hold_doubt(inputs: Mapping[str, Source], hold: Hold | None = None) -> list[s
     if held and hold != "foh":
         said.append(
             f"{_taken(held)} as held between samples, {_apart(held)}: if what drove the aircraft "
-            f"moved in between, as of a controller faster than the log, delays are {_half(held)} "
-            "longer than estimated: import the log as lines, too (casid import --hold foh), and "
-            "compare"
+            "moved in between, as with a controller faster than the log, delays are "
+            f"{_half(held)} longer than estimated: import the log as lines, too (casid import "
+            "--hold foh), and compare"
         )
     if lines and hold is None:
         said.append(
-            f"{_taken(lines)} as lines between samples, {_apart(lines)}: if each was held from one "
-            f"to the next, as of a controller no faster than the log, delays are {_half(lines)} "
-            "shorter than estimated: import the log as held, too (casid import --hold zoh), and "
-            "compare"
+            f"{_taken(lines)} as lines between samples, {_apart(lines)}: if each was held from "
+            "one to the next, as with a controller no faster than the log, delays are "
+            f"{_half(lines)} shorter than estimated: import the log as held, too (casid import "
+            "--hold zoh), and compare"
         )
     return said
 

@@ -112,7 +112,7 @@ def undriven(log: Log, outputs: Mapping[str, Source]) -> str:
 def still(log: Log) -> list[str]:
     """Topics of actuators that rest."""
     return [
-        f"{name} never moves: nothing is driven, so nothing flies"
+        f"{name} never moves: nothing is driven, so nothing can be identified"
         for name in ACTUATORS
         if name in log.topics
         and not any(np.nanstd(x) > 0 for x in log.topics[name].columns.values())

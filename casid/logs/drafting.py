@@ -124,7 +124,7 @@ def import_log(
     hold: Hold | None = None,
     fresh: bool = False,
 ) -> Draft:
-    """Records, a structure and a study that runs, from a log.
+    """Turn a log into records, a structure and a study that runs.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def _channels(
     _check_found(log, inputs, outputs, structure)
     if strange := stated.keys() - inputs.keys() - outputs.keys():
         raise ValueError(
-            f"{log.path}: a unit is stated of {min(strange)}, which is no channel of it"
+            f"{log.path}: a unit is stated for {min(strange)}, which is no channel of it"
         )
     return with_units(inputs, stated), with_units(outputs, stated)
 

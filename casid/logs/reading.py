@@ -27,13 +27,13 @@ READERS: dict[bytes, tuple[str, str, Reader]] = {  # by the first bytes: format,
 LEFT_OUT = {  # why samples of a topic are
     "left_out": (
         "clock went back",
-        "where many are, the logger began anew, and its longest part is kept; split the log there "
-        "to read the others",
+        "if there are many, the logger began anew, and its longest part is kept; split the log "
+        "there to read the others",
     ),
     "repeats": (
         "time stamps repeat those of others",
-        "one sample of each instant is kept; where many are, stamps are too coarse or two sensors "
-        "write one topic",
+        "one sample of each instant is kept; if there are many, stamps are too coarse or two "
+        "sensors write one topic",
     ),
 }
 

@@ -61,15 +61,15 @@ def read_tdms(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[
         epoch = min((start for own in starts.values() for start in own), default=None)
         if epoch is not None and (open_ := [name for name, own in starts.items() if not own]):
             notes.append(
-                f"{', '.join(map(repr, open_))} count from an instant that is not told, the other "
-                "groups from a date: taken as begun together, look at the delays"
+                f"{', '.join(map(repr, open_))} count from an unknown instant, the other groups "
+                "from a date: assumed to begin together, look at the delays"
             )
         for name, channels in groups.items():
             found, without = _group(name, channels, epoch)
             topics += found
             if without:
                 named = listed([printable(each) for each in without])
-                notes.append(f"group {name!r}: no time is known of {named}{REMEDY}")
+                notes.append(f"group {name!r}: no time is known for {named}{REMEDY}")
             notes += [
                 f"group {name!r}: {printable(each.name)} is in {printable(_counted(each))!r}, no "
                 "unit of time that is known: taken as seconds"

@@ -51,7 +51,7 @@ class Peak:
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MatchNotes:
-    """What a match tells beside its estimates.
+    """What a match reports beside its estimates.
 
     ``start`` is the one that led to them, ``weight`` the name of the weights, "given" of arrays;
     ``covered`` has the spans of airspeed and tables of flight conditions, where there are any.

@@ -27,10 +27,11 @@ MOST = 0.5  # of what is left of a condition's squares, that a step of its own e
 SELDOM = 1e-6  # chance by which a step explains as much of residuals that no step explains
 
 WHY = (
-    "most of which parameters of its own would explain: the conditions contradict each other, and "
-    "the estimate is between them. Look for values of a condition, as its airspeed, the response "
-    "of another one, units, parameters that change with the condition and have no schedule in the "
-    "structure, or what it misses, which they may show differently; leave one out and compare"
+    "most of which would vanish with separate parameters for each condition: the conditions "
+    "contradict each other, and the estimate is a compromise. Check the values of each "
+    "condition, such as airspeed, whether a response belongs to another one, units, parameters "
+    "that change with the condition and have no schedule in the structure, and what the "
+    "structure misses, which they may show differently; leave one out and compare"
 )
 
 

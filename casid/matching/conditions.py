@@ -87,9 +87,9 @@ def _check_own(data: Mapping[Trim, Any]) -> None:
                 said = same_numbers(one, other, every=True) or said
             if said:
                 raise ValueError(
-                    f"the targets of conditions {here.name!r} and {there.name!r} {said}: what was "
-                    "measured at one tells nothing of the other; give each its own, or leave one "
-                    "out"
+                    f"the targets of conditions {here.name!r} and {there.name!r} {said}: what "
+                    "was measured at one says nothing about the other; give each its own, or "
+                    "leave one out"
                 )
 
 

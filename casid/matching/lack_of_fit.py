@@ -31,8 +31,9 @@ SELDOM = 1e-3  # chance by which independent points are
 NOTHING = 1e-8  # of the largest singular value, all parameters moving a response alike
 
 WHY = (
-    "in half of their points or more, whatever the parameters: what the structure misses (a lag, a "
-    "mode, a coupling), a unit or a sign, or errors stated too small. J or norm do not tell that"
+    "in half of their points or more, whatever the parameters: the structure misses something (a "
+    "lag, a mode, a coupling), a unit or a sign is wrong, or errors are stated too small. J and "
+    "norm do not show that"
 )
 
 

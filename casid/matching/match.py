@@ -121,8 +121,9 @@ class Match:
             warn(f"match: {said}")
         if names := untold(free, search.comparison, best.values, active):
             warn(
-                f"match: the targets do not determine {listed(names)}: their values are where the "
-                "search ended; fix or tie some of them, or add a target that tells them apart"
+                f"match: the targets do not determine {listed(names)}: their values are only "
+                "where the search ended; fix or tie some of them, or add a target that tells "
+                "them apart"
             )
         return fit
 

@@ -146,9 +146,9 @@ def _from_system(model: Model, target: _Known, omega: Array | None, sigma: float
     slack = 1e-9 * high
     if target.bounded and (grid[0] < low - slack or grid[-1] > high + slack):
         raise ValueError(
-            f"omega reaches from {grid[0]:.4g} to {grid[-1]:.4g} rad/s, but the black box means "
-            f"something in {low:.4g} to {high:.4g} rad/s only; stay inside its band, or excite "
-            "more of it in the records"
+            f"omega reaches from {grid[0]:.4g} to {grid[-1]:.4g} rad/s, but the black box holds "
+            f"in {low:.4g} to {high:.4g} rad/s only; stay inside its band, or excite more of it "
+            "in the records"
         )
     system = _select(target.system, model)
     G = system.response(grid, sigma)

@@ -113,7 +113,7 @@ class _Search:
         """What speaks against the first of these ends, which are all `ends`."""
         names, (z, f, _) = (*self.model.states, *self.model.inputs), ends[0]
         said = [
-            f"{names[k]} {z[k] - self.z0[k]:+.2g} from the {self.z0[k]:.4g} it names"
+            f"{names[k]} moves by {z[k] - self.z0[k]:+.2g} from the {self.z0[k]:.4g} given"
             for k in np.flatnonzero(self.strained(z))
         ]
         resting = itertools.compress(self.model.states, self.balance[1])
@@ -128,7 +128,7 @@ class _Search:
             return []
         differ = np.flatnonzero(self.sought & (np.abs(near[0] - z) > APART * self.size))
         return [
-            f"it balances with {', '.join(f'{names[k]} = {near[0][k]:.4g}' for k in differ)} too"
+            f"it also balances with {', '.join(f'{names[k]} = {near[0][k]:.4g}' for k in differ)}"
         ]
 
 
@@ -187,7 +187,7 @@ def unbalanced(model: Model, doubts: Sequence[str]) -> str:
     """What a warning says of the doubts of `balanced`."""
     return (
         f"{type(model).__name__} is linearised where its balance is in doubt, "
-        f"{listed(doubts, 3)}: name more in the trim of the records, or fly speeds between"
+        f"{listed(doubts, 3)}: give more values in the trim of the records, or fly speeds between"
     )
 
 

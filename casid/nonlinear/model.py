@@ -123,9 +123,9 @@ class NonlinearModel(Model, base=True):
                 _check_finite(self, self.equations(), *self._placed(each), f"at {said}")
                 if found := kinks(self, *self._placed(each)):
                     warn(
-                        f"linearised where {'; '.join(found)}: the slope there is neither side's, "
-                        "nor what motions about it tell. Take a condition beside it, or write "
-                        "something smooth (casadi.tanh, casid.spline)"
+                        f"linearised where {'; '.join(found)}: the slope there belongs to "
+                        "neither side, and motions about it show another. Take a condition "
+                        "beside it, or write something smooth (casadi.tanh, casid.spline)"
                     )
         known = [self.reached_at(each) for each in given if not each.unknown]
         warn_beyond(self, "linearised at a condition", joined_spans(known))

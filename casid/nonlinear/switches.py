@@ -43,8 +43,8 @@ def told(found: Sequence[Passage]) -> str:
         f"{x.equation} jumps at {x.threshold}, passed {counted(x.times, 'time')}" for x in found
     )
     return (
-        f"{'; '.join(each)}: how a parameter moves the instant of a jump is in no derivative, so "
-        "that estimates need not be the likeliest and errors come out too small. Write something "
+        f"{'; '.join(each)}: no derivative includes how a parameter moves the instant of a jump, "
+        "so estimates need not be the most likely and errors come out too small. Write something "
         "smooth (casadi.tanh, casid.spline)"
     )
 

@@ -89,7 +89,7 @@ def not_believed(content: Content, fit: AnyFit) -> str:
     count = len(fit.free_names) or len(fit.parameters)
     said = f"Do not believe {len(reasons)} of {counted(count, 'parameter')}: {'; '.join(parts)}."
     if any("held" in found for found in reasons.values()):
-        said += " Errors of all others and of modes take the bounds that hold for right."
+        said += " Errors of all other parameters and of modes assume that these bounds are right."
     return said
 
 

@@ -34,7 +34,7 @@ PER_PAGE = 8  # outputs in a figure of time histories
 LAGS = 100  # samples of the autocorrelation
 ROWS = 16  # of the comparison of bounds
 USUAL = (0.1, 20.0)  # rad/s
-SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
+SLOW = 2.0  # 1/s, the reach of the enlarged plane of eigenvalues
 
 
 def save(drawing: Drawing, folder: str | Path, *, png: bool = False) -> Path:

@@ -28,7 +28,7 @@ STRANGE = 4.0  # RMS error over residual of the estimation, the median of output
 OPEN = 0.5  # standard error of an eigenvalue over its modulus: as good as any sign
 NAMED = 5  # before it says how many more
 REMEDIES = {  # by whether the structure is enough
-    False: "Parameters make up for what the structure lacks; try a richer one.",
+    False: "Parameters make up for what the structure lacks; try a richer structure.",
     True: "The structure could follow the black box: look at the estimate, its data and bounds.",
     None: "Look at the estimate, its data and bounds, then try a richer structure.",
 }
@@ -96,9 +96,10 @@ def unexplained_records(validation: Validation, content: Content) -> Iterator[Ca
     for name, ratio in zip(validation.records, np.nanmedian(least, axis=1), strict=True):
         if ratio > STRANGE:
             yield Caution(
-                f"Validation record {name} is not explained as the identification records are: "
-                f"another aircraft, clock, unit or trim? Errors of both models are {ratio:.1f} "
-                "times the residuals there, the median of outputs.",
+                f"Validation record {name} is not explained as well as the identification "
+                "records: another aircraft, clock, unit or trim? The smaller of both models' "
+                f"errors is {ratio:.1f} times the residuals of the estimation (median over "
+                "outputs).",
                 4,
             )
 
@@ -125,9 +126,9 @@ def offsets(validation: Validation, content: Content) -> Iterator[Caution]:
         said += [f"{validation.outputs[j]} of {record.name} ({sizes[j]})" for j in found]
     if said:
         yield Caution(
-            f"Fitted constants hide an offset of the model: {listed(said, NAMED)}, more than "
-            f"{OFFSET:g} times what is left, and what any record of the estimation had. No verdict "
-            "counts them: look at trim, units and instruments of these records.",
+            f"Fitted constants hide an offset of the model: {listed(said, NAMED)}, each more "
+            f"than {OFFSET:g} times the error that remains and any constant of the estimation. "
+            "No verdict counts them: look at trim, units and instruments of these records.",
             7,
         )
 
@@ -206,7 +207,8 @@ def few_data(fit: AnyFit, content: Content) -> Iterator[Caution]:
         longest, total = max(file.seconds for file in files), sum(file.seconds for file in files)
         yield Caution(
             f"Few data: records of {longest:.0f} s at most, {total:.0f} s together, leave slow "
-            f"modes uncertain, {listed(vague, NAMED)}; what these modes rest on is poorly known.",
+            f"modes uncertain, {listed(vague, NAMED)}; the parameters behind these modes are "
+            "poorly known.",
             14,
         )
 

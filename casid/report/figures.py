@@ -347,7 +347,7 @@ def plot_poles(ax: Axes, systems: Mapping[str, StateSpace]) -> Axes:
         ax.plot(poles.real, poles.imag, marks[k % len(marks)], label=name, **look)
     ax.axvline(0, color="#777777", linewidth=0.8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
-    ax.set(xlabel="real part [rad/s]", ylabel="imaginary part [rad/s]")
+    ax.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]")
     return ax
 
 

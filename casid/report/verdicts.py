@@ -16,7 +16,7 @@ from casid.validation import Validation, measures
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
 UNJUDGED = "not judged"
-RUNS_AWAY = "the model runs out of all numbers"
+RUNS_AWAY = "the simulation of the model diverges"
 NAMED = 12  # names in a warning before it says how many more
 
 
@@ -76,7 +76,10 @@ class Verdict:
         """What to say of a poor one, or one that is not judged."""
         output = f"Output {self.output} of the validation records"
         if not np.isfinite(self.theil):
-            none = "there is nothing to compare, nothing but zeros, or most before the predictions"
+            none = (
+                "no samples to compare, nothing but zeros, or most samples lie before the "
+                "predictions"
+            )
             return f"{output} is not judged: {none}."
         if self.word == UNJUDGED:
             return (
@@ -154,9 +157,11 @@ def uncertain(fit: AnyFit, *, lacking: bool = False) -> Iterator[Caution]:
         answered = (
             ""
             if getattr(fit.notes, "K", None) is not None
-            else " They do not allow for a pilot or controller who answers what residuals hold, as "
-            "gusts or vibration, which biases estimates: compare those with process_noise, and "
-            "those of the frequency domain."
+            else (
+                " They do not allow for a pilot or controller who reacts to what residuals hold, "
+                "such as gusts or vibration, which biases estimates: compare with process_noise "
+                "and with the frequency domain."
+            )
         )
         yield Caution(
             f"Residuals are correlated in time: {left}. The standard errors allow for that; they "

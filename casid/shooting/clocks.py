@@ -42,8 +42,9 @@ class InputDelay:
         """What a negative delay means, or the end of the search; empty for what may be."""
         if not np.isfinite(self.std_error):
             return (
-                f"the delay of {self.input} is {self.delay:.3f} s where the search ends, and may "
-                f"be further: look beyond, by a larger margin or other bounds of {self.parameter}"
+                f"the delay of {self.input} is {self.delay:.3f} s, the limit of the search, and "
+                "may lie beyond: search further, by a larger margin or other bounds of "
+                f"{self.parameter}"
             )
         if self.delay > -max(WORST, SIGNIFICANT * self.std_error):
             return ""
@@ -92,7 +93,9 @@ def input_delays(
             f"{type(model).__name__} has no input whose delay is a free parameter of its own"
         )
     if estimator.responses:
-        raise ValueError("estimator: its responses tell nothing of the records' clocks; leave them")
+        raise ValueError(
+            "estimator: its responses say nothing about the records' clocks; leave them out"
+        )
     infos, own = model.infos(), set(tied.values())
     bounds = {name: (-margin, infos[name].upper) for name in own}
     known = {name: pair for name, pair in (estimator.priors or {}).items() if name not in own}

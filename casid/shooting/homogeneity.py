@@ -171,7 +171,7 @@ def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array)
     if len(names) == 2:
         who, without = f"{blamed[0]} and {blamed[1]}", f"of {blamed[1]} alone"
     elif found.any is None:
-        who = f"{blamed[0]} most, and the others too, whichever few are left out"
+        who = f"{blamed[0]} most, but also the others, whichever few are left out"
         without = f"without {blamed[0]}"
     elif found.any:
         who = f"one of {listed(blamed)} and the others, which agree without any one of them"
@@ -180,8 +180,9 @@ def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array)
         who, without = f"{listed(blamed)} and all others, which agree", f"without {listed(blamed)}"
     return (
         f"{OPPOSED}: {who} (chi-square of {off.square:.0f} in {off.freedom} combinations of "
-        f"parameters, where chance hardly exceeds {chdtri(off.freedom, SELDOM / len(names)):.0f}"
-        f"). Estimates {without} are elsewhere, in errors that noise alone would make {moved}; "
+        "parameters, where chance hardly exceeds "
+        f"{chdtri(off.freedom, SELDOM / len(names)):.0f}). Estimates {without} differ, in "
+        f"standard errors from noise alone: {moved}; "
     )
 
 
@@ -189,19 +190,19 @@ def _advice(found: Discord, flown: Sequence[Record], names: Sequence[str]) -> st
     """What to do."""
     if found.any is None:
         return (
-            "standard errors are of how records scatter. So does a response that depends on "
-            "amplitude (ask distortion), or on flight condition: estimate together what was flown "
-            "alike"
+            "standard errors are taken from the scatter between records. A response that depends "
+            "on amplitude (ask distortion) or on flight condition looks the same: estimate "
+            "records that were flown alike together"
         )
     said = (
         "standard errors do not know which is right. Check there the offset, unit, sign and gain "
-        "of every channel, and the trim; biases or state_biases free what is constant; leave it "
-        "out and compare"
+        "of every channel, and the trim; biases or state_biases allow for constant offsets; "
+        "leave it out and compare"
     )
     if ends := [(i, end) for i in found.which if (end := _end(flown, i))]:
         i, end = ends[0]
         said += (
-            f". {names[i]} has the {end} inputs: a response that depends on amplitude does the "
+            f". {names[i]} has the {end} inputs: a response that depends on amplitude looks the "
             "same (ask distortion)"
         )
     return said

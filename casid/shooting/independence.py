@@ -64,8 +64,8 @@ def warn_of_missed(
     if missed:
         parts = [f"{name} ({100 * share:.2g} % of it)" for name, share in missed.items()]
         warn(
-            f"{method}: residuals of {listed(parts)} follow the inputs: something of the response "
-            "is not in the structure, as a lag or a mode, or the controller answers turbulence; "
+            f"{method}: residuals of {listed(parts)} follow the inputs: the structure lacks part "
+            "of the response, such as a lag or a mode, or the controller reacts to turbulence; "
             "derivatives may be off by several of their standard errors. Add what is missing, or "
             "compare with a frequency response"
         )

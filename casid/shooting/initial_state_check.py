@@ -61,9 +61,10 @@ def warn_of_beginnings(programme: Programme, x: Array) -> None:
         warn(
             f"{CONTRADICTS} the initial state {state} = {worst.stated[0]:.4g} ± "
             f"{worst.stated[1]:.2g} of {where}: alone they would say {worst.alone[0]:.3g} ± "
-            f"{worst.alone[1]:.2g}, {worst.off:.1f} standard deviations from it, and all estimates "
-            "and errors believe both: check the value (SI; of a nonlinear structure the total, of "
-            "a linear one what is added to the trim), widen it or leave it out"
+            f"{worst.alone[1]:.2g}, {worst.off:.1f} standard deviations from it, and all "
+            "estimates and errors assume that both are right: check the value (SI; of a "
+            "nonlinear structure the total, of a linear one what is added to the trim), widen it "
+            "or leave it out"
         )
 
 

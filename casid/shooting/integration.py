@@ -68,15 +68,15 @@ def still_coarse(found: Integration, evaluator: NonlinearEvaluator, lam: Array) 
     if max(found.shift, found.widened) <= SHIFT:
         return ""
     rate, state = fastest_flown(evaluator, lam)
-    does = f"move {found.moved} by {found.shift:.2g} standard errors as they are halved"
+    does = f"move {found.moved} by {found.shift:.2g} standard errors when halved"
     if found.widened > SHIFT:
         does = (
-            "hold estimates more than the data do (as they are halved a standard error changes by "
+            "restrict estimates more than the data do (halving them changes a standard error by "
             f"{found.widened:.0%})"
         )
     more = f"write {state} in its steady state, or keep its lag longer by bounds"
     if 2 * found.steps <= MOST:
-        more = "give more, or none to have them chosen"
+        more = "give more, or leave steps out to have them chosen"
     return (
         f"{counted(found.steps, 'integration step')} within {evaluator.layout.classes.max():.3g} s "
         f"{does}; the fastest mode, mostly of {state}, is at {rate:.3g} rad/s: {more}"

@@ -40,21 +40,22 @@ ALIKE = 0.2  # change of a weight's logarithm that makes no other estimate
 
 
 WHY = (
-    "in half of their points or more: a unit or a sign, another flight condition, or what the "
-    "structure misses. They count less by as much"
+    "in half of their points or more: a wrong unit or sign, another flight condition, or "
+    "dynamics that the structure lacks. Their weight is reduced by as much"
 )
 APART = (
-    "the estimate is between both and all errors believe both. Look for units and gains of single "
-    "channels, a delay or another clock, another flight condition, or what the structure misses, "
-    "which the two may show differently; leave one of them out and compare"
+    "the estimate is a compromise, and all errors assume that both are right. Check units and "
+    "gains of single channels, delays and clocks, flight condition, and what the structure "
+    "misses, which the two may show differently; leave one of them out and compare"
 )
 LARGE = (
-    "with errors stated too large a response hardly counts; they are shares of the gain, 0.04 for "
-    "4 %: of such, percent are 100 times as much and decibels 8.7 times"
+    "a response with errors stated too large hardly counts; errors are shares of the gain, 0.04 "
+    "for 4 %: given in percent they are 100 times too large, in decibels 8.7 times"
 )
 SMALL = (
-    "the errors stated are too small by that, or the structure misses as much. Points count less "
-    "where that is sure, but errors of parameters may be too small: state a larger random_error"
+    "the stated errors are too small by that factor, or the structure misses as much. The weight "
+    "of points is reduced where that is certain, but errors of parameters may be too small: "
+    "state a larger random_error"
 )
 
 
@@ -104,13 +105,13 @@ class MeasuredResponses:
             size = each.misstated(self._matrices, values, float(np.trace(P @ F)))
             if off.significant and not told:
                 yield (
-                    f"{each.name} contradicts the records and what else counts, "
+                    f"{each.name} contradicts the records and everything else that counts, "
                     f"{off.told(self._names)}: {APART}"
                 )
             elif size != 1 and not told:
                 yield (
-                    f"{each.name} is {size:.2g} times its stated errors off, which is no chance: "
-                    f"{LARGE if size < 1 else SMALL}"
+                    f"{each.name} is off by {size:.2g} times its stated errors, which is not "
+                    f"chance: {LARGE if size < 1 else SMALL}"
                 )
 
     def residuals(self, values: Array) -> tuple[Array, Array]:

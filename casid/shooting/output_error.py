@@ -206,8 +206,9 @@ class OutputError:
         }
         for name in (name for name, unknown in wrong.items() if unknown):
             raise ValueError(
-                f'{name} does not go with domain="frequency": what is linear is transformed there '
-                "and nothing shot, constants and initial states are eliminated, R is diagonal"
+                f'{name} does not go with domain="frequency": there what is linear is '
+                "transformed and not simulated, constants and initial states are eliminated, and "
+                "R is diagonal"
             )
         return given
 

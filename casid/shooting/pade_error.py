@@ -33,10 +33,10 @@ def warn_rounded(fit: AnyFit, records: Sequence[Record]) -> None:
         size = float(np.sqrt(np.nansum(off**2))) / each
         if size > MUCH:
             warn(
-                f"{name} feels steps of the inputs at once, which the approximation of its "
-                f"sensor's delay rounds by up to {np.nanmax(np.abs(off)):.2g}, with noise of "
-                f"{each:.2g}: estimates may be several standard errors off. Where the delay is "
-                f"known, move the channel (Record.shift) and leave {name} out of late_outputs"
+                f"{name} responds to steps of the inputs at once, and the approximation of its "
+                f"sensor's delay smooths these by up to {np.nanmax(np.abs(off)):.2g}, with noise "
+                f"of {each:.2g}: estimates may be several standard errors off. Where the delay "
+                f"is known, move the channel (Record.shift) and leave {name} out of late_outputs"
             )
 
 

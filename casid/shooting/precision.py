@@ -29,7 +29,7 @@ STILL, RAMP = 1e-10, 0.1  # e-folds over a record: of an integral, and of what m
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OutputErrorNotes:
-    """What output error tells beside its estimates, rows in the order of ``Fit.free_names``.
+    """What output error reports beside its estimates, rows in the order of ``Fit.free_names``.
 
     Parameters
     ----------
@@ -239,9 +239,10 @@ def run_away(programme: Programme, x: Array, lost: int = 0) -> str:
         return ""
     names = ", ".join(np.array(programme.free.model.outputs)[away])
     return names and (
-        f"initial states and the biases of {names} run away together, beyond {AWAY:.0f} times what "
-        "was measured: a mode at nearly no speed makes a ramp of how the records drift. Leave "
-        "those biases out (biases=), or say how records begin (OutputError(initial=...).fit)"
+        f"initial states and the biases of {names} diverge together, beyond {AWAY:.0f} times "
+        "what was measured: a mode with an eigenvalue near zero turns the drift of the records "
+        "into a ramp. Drop those biases (biases=), or state the initial states "
+        "(OutputError(initial=...).fit)"
     )
 
 

@@ -207,6 +207,7 @@ def warn_contradicted(free: Free, fit: AnyFit) -> None:
         if off > CONTRADICTED:
             warn(
                 f"{CONTRADICTS} the prior {name} = {mean:.4g} ± {std:.2g}: the estimate "
-                f"{row.value:.4g} lies {off:.1f} standard deviations from it, and all parameters' "
-                "errors believe both: check where the prior comes from, widen it or leave it out"
+                f"{row.value:.4g} lies {off:.1f} standard deviations from it, and all "
+                "parameters' errors assume that both are right: check where the prior comes "
+                "from, widen it or leave it out"
             )

@@ -36,8 +36,8 @@ WELL, LESS = 0.25, 0.2  # share of the gain expected that lets damping fall, and
 CONVEX = 1.5  # times the damping that just makes the model convex
 TOUCHES = 1e-6  # from a bound, in units of unit curvature
 UNTOLD = (
-    "the records do not determine {}, not where the search ended (singular information matrix): "
-    "fix or tie some of them, or start nearer"
+    "the records do not determine {}, at least not where the search ended (singular information "
+    "matrix): fix or tie some of them, or start nearer"
 )
 NONE = 1e-12  # information of a parameter that has none, of the largest
 
@@ -190,7 +190,7 @@ class Reduced:
     def _why(self, late: bool, damping: float) -> str:
         """Why steps ended without success."""
         if damping > MOST:
-            return "no step lowers the cost, though one should; start nearer"
+            return "no step lowers the cost, though the slope says that one should; start nearer"
         if not late and self.options.max_iterations == LATER:
             return f"no end within {LATER} steps of the parameters alone; start nearer"
         what = ("time", "max_seconds") if late else ("iteration", "max_iterations")

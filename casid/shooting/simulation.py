@@ -43,7 +43,7 @@ WEAK = 1e-8  # information below this share of the largest moves nothing
 def simulate(
     model: NonlinearModel, record: Record, start: Mapping[str, float] | None = None
 ) -> Record:
-    """The record as a nonlinear structure answers its inputs: total values, no noise.
+    """Simulate a nonlinear structure on the inputs of a record: total values, no noise.
 
     Parameters
     ----------

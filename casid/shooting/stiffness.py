@@ -43,9 +43,9 @@ def first_steps(evaluator: Flown, lam: Array) -> int:
     pole, place = _fastest(A) if np.isfinite(A).all() else (0j, 0)  # no slope at the reference
     if abs(pole) * longest > STABLE * MOST and pole.real < 0:
         raise ModelError(
-            f"{type(model).__name__} is stiff at the start: its mode at {pole:.3g} rad/s, mostly "
-            f"of {model.states[place]}, is too fast for {MOST} steps within {longest:.3g} s; write "
-            f"{model.states[place]} in its steady state, or make its lag longer"
+            f"{type(model).__name__} is stiff at the start: its mode at {pole:.3g} 1/s, mostly "
+            f"of {model.states[place]}, is too fast for {MOST} steps within {longest:.3g} s; "
+            f"write {model.states[place]} in its steady state, or make its lag longer"
         )
     fastest = max(abs(pole), fastest_flown(evaluator, lam)[0]) * longest
     return int(np.clip(np.ceil(fastest / REACH), 1, MOST))

@@ -130,7 +130,9 @@ class Ways:
         best = min(ends, key=lambda end: end.cost)
         if plain.cost < best.cost - GAIN:
             why = ends[-1].solution.status
-            return plain.failed(f"no filter was found more likely than this output error: {why}")
+            return plain.failed(
+                f"no filter makes the records more likely than this output error: {why}"
+            )
         return best if best.solution.success else min(ends, key=_merit)
 
     def _noise_ends(self, more: NoiseUnknowns, plain: Outcome) -> list[Outcome]:
@@ -284,7 +286,7 @@ def warn_of_missed(outcome: Outcome, interval: float | None) -> None:
     """Warn of outputs that a fit explains no better than their means, ``interval`` being given."""
     if names := missed(outcome):
         shorter = "shorter intervals, " if interval else ""
-        warn(f"{told(names)}: {shorter}other starts and their costs tell")
+        warn(f"{told(names)}: try {shorter}other starts and compare their costs")
 
 
 def choose_interval(free: Free, records: Sequence[Record]) -> float:

@@ -281,9 +281,10 @@ def _allowing(
     if freedom.min() < FEW and contrast(noise.spectra) > COLOURED:
         few = ", ".join(np.array(programme.residuals.free.names)[freedom < FEW])
         warn(
-            f"{METHOD}: the spectrum of the residuals rests on few lines where the records tell "
-            f"of {few} ({freedom.min():.0f} degrees of freedom): errors may be 2 times too small; "
-            'give more records, or estimate with domain="time" (process_noise=True in turbulence)'
+            f"{METHOD}: the spectrum of the residuals rests on few lines where the records "
+            f"determine {few} ({freedom.min():.0f} degrees of freedom): errors may be 2 times "
+            'too small; give more records, or estimate with domain="time" (process_noise=True in '
+            "turbulence)"
         )
     bounded = np.maximum(freedom, FEWEST)
     wider = np.sqrt(more / (1 - 2 / bounded))

@@ -160,11 +160,12 @@ def singular(names: Sequence[str], model: Model | None = None) -> str:
             "(casadi.tanh, casid.spline), or fix it and compare the costs of fits at several values"
         ) + (f"; {singular(rest)}" if rest else "")
     return (
-        f"the records do not determine {', '.join(names)} here (singular information matrix): fix "
-        "or tie some of them, or add a manoeuvre that excites them. Where one of them multiplies "
-        "another that is zero, this is a saddle of the cost and no lack of data: start elsewhere. "
-        "A delay of an input held in steps may be told from no gain between two samples: hold the "
-        "delay, sample faster or off the input's grid, or add an output"
+        f"the records do not determine {', '.join(names)} here (singular information matrix): "
+        "fix or tie some of them, or add a manoeuvre that excites them. Where one of them "
+        "multiplies another that is zero, this is a saddle of the cost and no lack of data: "
+        "start elsewhere. Between two samples the delay of an input held in steps may be "
+        "indistinguishable from a gain: hold the delay, sample faster or off the input's grid, "
+        "or add an output"
     )
 
 

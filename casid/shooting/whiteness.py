@@ -87,10 +87,10 @@ def _coloured(found: Array, names: Sequence[str]) -> str:
         return ""
     most = names[int(np.argmax(square.sum(axis=(0, 2)) + square.sum(axis=(0, 1))))]
     return (
-        f"innovations are correlated in time ({most} most), so that what drives the "
-        "states is not the white noise that it is taken for: gusts of seconds are not, nor is what "
-        "the structure misses. Derivatives may be several of their standard errors off: give gusts "
-        "a state of their own in the structure, or the structure what it lacks"
+        f"innovations are correlated in time ({most} most), so the noise that drives the states "
+        "is not white, as is assumed: neither gusts of seconds nor what the structure misses is. "
+        "Derivatives may be off by several of their standard errors: give gusts a state of their "
+        "own in the structure, or add what it lacks"
     )
 
 
@@ -101,10 +101,10 @@ def _together(found: Array, names: Sequence[str]) -> str:
         return ""
     a, b = (int(k) for k in np.unravel_index(np.abs(pairs).argmax(), pairs.shape))
     return (
-        f"innovations of {names[a]} and {names[b]} go together, {found[a, b]:+.0f} standard "
-        "deviations more than chance has it: one gust drives several states, or one noise several "
-        "outputs, which are taken for driven independently. Derivatives may be several of their "
-        'standard errors off: take process_noise="gain" with R="full", or give the gust a state of '
+        f"innovations of {names[a]} and {names[b]} are correlated, {found[a, b]:+.0f} standard "
+        "deviations more than by chance: one gust drives several states, or one noise several "
+        "outputs, but they are assumed independent. Derivatives may be off by several of their "
+        'standard errors: take process_noise="gain" with R="full", or give the gust a state of '
         "its own in the structure"
     )
 
@@ -126,10 +126,11 @@ def _uneven(residuals: Sequence[Array], outputs: Sequence[str], records: Sequenc
     if not ratio[i]:
         return ""
     return (
-        f"innovations of {outputs[i]} in {records[most[i]]} have {ratio[i]:.2g} times the variance "
-        f"of those in {records[least[i]]}: its air was rougher, or its sensors noisier, than one "
-        "process noise and one R for all records say. The calm one counts for less than it knows, "
-        "standard errors are too small: estimate together what was flown in like air"
+        f"innovations of {outputs[i]} in {records[most[i]]} have {ratio[i]:.2g} times the "
+        f"variance of those in {records[least[i]]}: the air of {records[most[i]]} was rougher, "
+        "or its sensors noisier, than one process noise and one R for all records can describe. "
+        f"{records[least[i]]} gets too little weight and standard errors are too small: estimate "
+        "records from similar air together"
     )
 
 
@@ -154,9 +155,8 @@ def warn_of_followed(programme: Programme, x: Array) -> None:
     if not linear:
         filtering += f" and {type(model).__name__}().at(trim), as a nonlinear structure has none"
     warn(
-        f"{FED} ({outputs}), and later inputs ({inputs}) "
-        "follow them, as where a pilot or controller answers gusts. Output error takes inputs to "
-        "know nothing of residuals to come: parameters, delays above all, are biased by more than "
-        f"their standard errors. Estimate with {filtering}, or identify the closed loop "
-        "from its reference as the input"
+        f"{FED} ({outputs}), and later inputs ({inputs}) follow them, as where a pilot or "
+        "controller reacts to gusts. Output error assumes that inputs do not depend on earlier "
+        "residuals: parameters, delays above all, are biased by more than their standard errors. "
+        f"Estimate with {filtering}, or identify the closed loop with its reference as the input"
     )

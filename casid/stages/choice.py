@@ -157,8 +157,9 @@ class StepChoice:
             if name != self.chosen
         ]
         return (
-            f"Last step: {self.chosen}, by errors of {', '.join(self.manoeuvres)} predicted "
-            f"without them; above its errors: {', '.join(others) or 'no other was tried'}"
+            f"Last step: {self.chosen}, chosen by errors of predicting "
+            f"{', '.join(self.manoeuvres)}, each without itself; errors of the others, relative "
+            f"to its own: {', '.join(others) or 'no other was tried'}"
             f"{HIDDEN if self.hidden and others else ''}"
         )
 

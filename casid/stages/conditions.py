@@ -26,9 +26,9 @@ from casid.stages.stage import Stage, Task
 TOGETHER = 0.05  # of the largest speed: records whose speeds differ less share a condition
 TOLD = 3  # entries off, in a caution
 OFF = (
-    "Fits of the records of one speed lie off the one model by more than the errors of both allow: "
-    "{}. A trim, unit or gain of the records there, or what the structure has over speed, is at "
-    "fault; standard errors know of neither."
+    "Fits to the records of one speed differ from the one model by more than the errors of both "
+    "allow: {}. A trim, unit or gain of the records there is wrong, or how the structure depends "
+    "on speed; standard errors include neither."
 )
 POINTS = 12  # speeds at which curves are drawn
 

@@ -73,8 +73,8 @@ def _show(found: Qualification, content: Content) -> Iterable[Section]:
     if excused := found.named(found.excused):
         said.append(
             Caution(
-                "Passed the tolerance bands with a fitted constant larger than the tolerance, "
-                f"which no figure counts: {', '.join(excused)}.",
+                "Passed the tolerance bands only with a fitted constant larger than the "
+                f"tolerance, which no figure counts: {', '.join(excused)}.",
                 15,
             )
         )
@@ -82,8 +82,8 @@ def _show(found: Qualification, content: Content) -> Iterable[Section]:
         named = listed(found.still)
         said.append(
             Caution(
-                f"Nothing leaves the tolerance band of trim in {named}: that a model passes there "
-                "says nothing of it.",
+                f"The measurement never leaves the tolerance band around trim in {named}: "
+                "passing there says nothing about the model.",
                 16,
             )
         )

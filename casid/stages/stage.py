@@ -211,7 +211,7 @@ def run_stages(
 def _doubts(results: Mapping[str, Any]) -> str:
     """What results before a failure say against themselves, for they may be why; "" if nothing."""
     said = [text for each in results.values() for text in getattr(each, "doubts", tuple)()]
-    return "\n".join(["", "What came before may be why:", *said]) if said else ""
+    return "\n".join(["", "Earlier doubts that may explain it:", *said]) if said else ""
 
 
 def _begin_ready(

@@ -42,8 +42,9 @@ def _run(settings: Sufficiency, task: Task) -> Distances:
         raise LeftOutError
     if getattr(fit.notes, "K", None) is not None and box.refinement != "prediction":
         warn(
-            "whether the structure is enough is not asked: turbulence, for which a filter was "
-            "fitted, biases black boxes by more than they state where a controller answers it"
+            "whether the structure is enough was not examined: turbulence, for which a filter "
+            "was fitted, biases black boxes by more than their stated errors where a controller "
+            "reacts to it"
         )
         raise LeftOutError
     omega = getattr(task.settings.get("match"), "omega", None)
@@ -71,7 +72,7 @@ def _show(found: Distances, content: Content) -> Iterable[Section]:  # noqa: ARG
         lead += f" Left out is what outputs feed back: {found.left_out}."
         if far:
             told = (
-                f"Of {listed(list(far), NAMED)} the black box is no measure of the structure where "
+                f"For {listed(list(far), NAMED)} the black box cannot judge the structure where "
                 f"outputs feed an input back, {found.left_out}: it is rather the inverse of the "
                 "controller there."
             )

@@ -57,7 +57,7 @@ MOST = 200  # frequencies of a record that are used, for time and memory
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Identifiability(Shown):
-    """What an excitation can tell of a structure.
+    """Which parameters of a structure data can determine, and which not.
 
     Parameters
     ----------
@@ -109,9 +109,9 @@ class Identifiability(Shown):
         """Findings and remedies, one a line."""
         lines = [f"rank {self.rank} of {len(self.names)}, condition {self.condition:.3g}"]
         if self.insensitive:
-            lines.append(f"no output feels {_listed(self.insensitive)}: fix or drop")
+            lines.append(f"no output depends on {_listed(self.insensitive)}: fix or drop")
         if self.tied:
-            lines.append(f"only the structure's constraints tell {_listed(self.tied)}")
+            lines.append(f"only the structure's constraints determine {_listed(self.tied)}")
         lines += [f"cannot be told apart: {_listed(group)}; fix one" for group in self.confounded]
         lines += [f"barely told apart: {_listed(group)}" for group in self.weak]
         return "\n".join(lines)

@@ -61,7 +61,7 @@ class Overview:
         found = str(self.identifiability).replace("\n", "\n  ")
         if self.excitation.endswith(ALONE):
             found = found.replace(
-                "fix or drop", "fix or drop what is not felt where you fly, either"
+                "fix or drop", "fix or drop what has no effect where you fly, either"
             )
         parts.append(f"identifiability from {self.excitation}\n  {found}")
         return "\n\n".join(parts)

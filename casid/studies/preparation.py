@@ -161,7 +161,7 @@ def _skews(
     if not check.channels:
         told = "; ".join((*check.further, *check.notes)) or "no angular rate with its attitude"
         raise ValueError(
-            f'shift = "{KINEMATICS}": kinematics tells nothing of these records ({told}); mend '
+            f'shift = "{KINEMATICS}": kinematics cannot judge these records ({told}); mend '
             "what is named, or state the shifts: shift = { phi = -0.06 }, {} for none"
         )
     first = [name for name in records[0].outputs if name not in second]

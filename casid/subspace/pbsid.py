@@ -394,7 +394,7 @@ def _check_used(records: Sequence[Record], segments: tuple[Segment, ...]) -> Non
 
 def _warn_direct_term(outputs: Array) -> None:
     warn(
-        "the records show feedback, and present inputs that go with present outputs: a direct term "
-        f"of {', '.join(outputs)} cannot be told from one of the controller and may be badly "
-        "biased; if the aircraft has none, say so (feedthrough=False or the outputs that have one)"
+        "the records show feedback, and inputs go with outputs of the same sample: direct terms "
+        f"of {', '.join(outputs)} cannot be told from the controller's and may be badly biased; "
+        "if the aircraft has none, say so (feedthrough=False or the outputs that have one)"
     )

@@ -158,7 +158,7 @@ def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) 
         distorted = missed_direct(held, direct, sampled, pieces.band(pole))
         causal = Estimate(held, gain, sampled, missed=found.missed or distorted)
     except ValueError as error:
-        remedy = f"prediction errors would tell and remove that, but: {error}"
+        remedy = f"prediction errors would show and remove that, but: {error}"
         return replace(found, remark=_warn_fed_back(remedy))
     distance, ratio = _apart(found, causal, np.geomspace(*pieces.band(pole), POINTS))
     if much or (distance > APART and ratio > CREDIBLE and not distorted):
@@ -166,8 +166,9 @@ def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) 
     if distance <= APART or ratio > CREDIBLE:  # or apart for want of its direct terms
         return found
     remedy = (
-        f"prediction errors, which are not, are {distance:.2g} stated errors away, but state too "
-        "small errors themselves of records as short as these; longer records tell more"
+        f"the estimate by prediction errors, which is not biased so, is {distance:.2g} stated "
+        "errors away, but its own stated errors are too small for records as short as these; "
+        "longer records tell more"
     )
     return replace(found, remark=_warn_fed_back(remedy))
 
@@ -233,9 +234,9 @@ def _at_order(
 def _warn_fed_back(remedy: str) -> str:
     """Warn that the estimate is biased; what was said."""
     said = (
-        "inputs follow what the black box leaves of outputs so much, noise that a controller feeds "
-        "back or dynamics that it lacks, such as a delay, that it may be biased and is no measure "
-        f"of a structure; {remedy}; a smaller pole or less feedback helps too"
+        "inputs follow the black box's residuals so strongly (noise that a controller feeds "
+        "back, or dynamics that it lacks, such as a delay) that it may be biased and cannot "
+        f"judge a structure; {remedy}; a smaller pole or less feedback helps too"
     )
     warn(said)
     return said[0].upper() + said[1:] + "."

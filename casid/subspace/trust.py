@@ -171,14 +171,17 @@ def order_doubts(missed: Missed | None, order: int) -> tuple[str, ...]:
     if missed is None:
         return ()
     if missed.ratio is None:
-        seen = f"with the direct terms that are zero here {missed.output} responds otherwise"
+        seen = f"with direct terms, which are zero here, the response of {missed.output} differs"
         what = f"by {missed.errors:.2g} stated errors near {missed.omega:.2g} rad/s"
     else:
-        seen = f"what this black box leaves of {missed.output} near {missed.omega:.2g} rad/s still"
+        seen = (
+            f"what this black box does not explain of {missed.output} near {missed.omega:.2g} "
+            "rad/s still"
+        )
         what = f"depends on the inputs, order {missed.order} " + (
             f"leaves {missed.ratio:.2g} times less"
             if missed.errors is None
-            else f"responds {missed.errors:.2g} stated errors otherwise"
+            else f"changes the response by {missed.errors:.2g} stated errors"
         )
     return (
         f"Order {order} is too low: {seen} {what}. The stated response_std does not hold there, "
@@ -191,13 +194,13 @@ def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
     if not len(modes):
         return ()
     names = ", ".join(
-        f"{m.real:+.3g}" + (f" ± {m.imag:.3g}j" if m.imag else "") + " rad/s" for m in modes
+        f"{m.real:+.3g}" + (f" ± {m.imag:.3g}j" if m.imag else "") + " 1/s" for m in modes
     )
     return (
-        f"The black box grows at {names}, which the likelihood does not need, on which the records "
-        "do not agree or which causal prediction or a model of one state less does not find: what "
-        "they show there may as well decay. Do not take the aircraft for unstable because of that; "
-        "another order, or longer records, shows what is true.",
+        f"The black box has growing modes at {names} that are not confirmed by the likelihood, "
+        "by all records, by causal prediction or by a model of one state less: these modes may "
+        "as well decay. Do not call the aircraft unstable because of that; try another order, or "
+        "longer records.",
     )
 
 

@@ -205,7 +205,7 @@ def test_without_stated_errors_the_cost_alone_is_said_to_be_the_error():
     frf = response(TRUTH, error=0.05, rng=np.random.default_rng(3))
     known = derivid(Roll(), frf, starts=1)
     unknown = dataclasses.replace(frf, random_error=np.full(frf.G.shape, np.nan))
-    with pytest.warns(DataWarning, match="states no errors at some points that are fitted"):
+    with pytest.warns(DataWarning, match="states no errors at some of the fitted points"):
         fit = derivid(Roll(), unknown, starts=1)
     assert fit["Lp"].std_error == fit["Lp"].cramer_rao == known["Lp"].cramer_rao
     assert np.isnan(fit.notes.table[2].scatter)
@@ -383,7 +383,7 @@ def test_what_is_no_measured_response_is_refused():
 
 def test_several_responses_are_for_the_caller_to_merge():
     both = [response(TRUTH), response(TRUTH)]
-    with pytest.raises(ValueError, match=r"not 2; put them together with merge_responses\("):
+    with pytest.raises(ValueError, match=r"not 2; combine them with merge_responses\("):
         derivid(Roll(), both)
     assert "are merged" not in derivid.__doc__
     assert derivid(Roll(), merge_responses(both), starts=1).cost < 1e-8

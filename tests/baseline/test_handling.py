@@ -158,7 +158,7 @@ def test_a_phase_that_passes_minus_180_several_times_is_told():
     at = omega[1:][np.diff(np.sign(turned)) != 0]
     assert len(at) == 3
     read = handling_qualities(response(loop, omega), ("phi", "lat"))
-    (told,) = (each for each in read.remarks if "passes -180° again" in each)
+    (told,) = (each for each in read.remarks if "crosses -180° again" in each)
     places = told.split("at ")[1].split(" rad/s")[0].split(", ")
     np.testing.assert_allclose([float(each) for each in places], at[1:], rtol=0.01)
 
@@ -321,4 +321,4 @@ def test_phase_delays_that_contradict_each_other_are_told():
         ("phi", "lat"),
     )
     assert read.phase_delay > 0 > read.phase_delay_line
-    assert any("no straight line from ω_180 to 2ω_180" in each for each in read.remarks)
+    assert any("not a straight line from ω_180 to 2ω_180" in each for each in read.remarks)

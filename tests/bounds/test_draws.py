@@ -99,7 +99,7 @@ def test_initial_states_are_drawn_about_what_is_known_of_them():
 def test_of_a_nonlinear_structure_it_is_said_that_they_are_not():
     by = OutputError(initial={"x": (1.0, SPREAD)}, biases=False)
     records = decays(0)
-    with pytest.warns(DataWarning, match="known begin all draws alike"):
+    with pytest.warns(DataWarning, match="known initial states .* are the same in all draws"):
         bootstrap(
             by.fit(Plain(), records), records, runs=2, block=0.1, estimator=by,
             execution=Execution(executor=Inline()),

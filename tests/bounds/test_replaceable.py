@@ -32,7 +32,7 @@ def test_a_manoeuvre_that_alone_moves_an_input_is_not_left_out():
     assert told_unmoved(records, INPUTS) == f"without {names[1]} nothing moves ped"
     with pytest.warns(DataWarning, match="nothing moves ped: manoeuvres that nothing replaces"):
         assert parts_of(None, records, INPUTS) == [(0,), (2,), (3,)]
-    with pytest.raises(ValueError, match=f"groups: without {names[1]} nothing moves ped, which"):
+    with pytest.raises(ValueError, match=f"groups: without {names[1]} nothing moves ped, so a"):
         parts_of([names[:1], names[1:2]], records, INPUTS)
     with pytest.raises(ValueError, match="without record 0 nothing moves lat; without record 1"):
         parts_of(None, moving((1, 0), (0, 1), (0, 0)), INPUTS)

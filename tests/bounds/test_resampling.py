@@ -87,7 +87,7 @@ def test_only_an_output_error_fit_of_the_records_is_bootstrapped():
         bootstrap(fit, [record(), record(1)])
     # the same manoeuvre with other noise, and another one
     for other in (with_noise(record(), 7), record(1)):
-        with pytest.raises(ValueError, match="not one of these records"):
+        with pytest.raises(ValueError, match="not estimated from these records"):
             bootstrap(fit, other)
     with pytest.raises(ValueError, match="by derivid"):
         bootstrap(replace(fit, method="derivid"), record())
@@ -124,7 +124,7 @@ def test_ensembles_of_nothing_are_refused(settings, said):
     with pytest.raises(ValueError, match="noise names 'zz'; known are y"):
         monte_carlo(TRUTH, record(), noise={"y": NOISE, "zz": 0.01})
     for quiet in ({}, {"y": 0.0}):
-        with pytest.raises(ValueError, match="noise names none of y: each output needs one"):
+        with pytest.raises(ValueError, match="noise lacks y: every output needs a standard dev"):
             monte_carlo(TRUTH, record(), noise=quiet)
 
 

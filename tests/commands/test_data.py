@@ -203,7 +203,7 @@ def test_inspect_reads_a_study_as_the_study_does():
 def test_what_a_study_says_itself_is_not_said_beside_it(typed):
     command, option, value = typed
     said = refused(casid(command, "study.toml", option, value))
-    assert said.startswith(f"Bad input: {option} with a study: it says itself which records")
+    assert said.startswith(f"Bad input: {option} cannot be given with a study, which itself")
 
 
 @pytest.mark.usefixtures("folder")

@@ -357,7 +357,7 @@ def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_p
         ({"Roll misses nothing that the records show": True}, (0.02, 0.3), True, ()),
         ({"Chosen: output error": None}, (), True, ()),
         ({"Roll misses something": False}, (0.02,), True, ("sound: Roll misses something. ",)),
-        ({}, (0.02, 0.6), True, ("sound: y1 of records that it has not seen: predicted poorly",)),
+        ({}, (0.02, 0.6), True, ("sound: it predicts y1 of unseen records poorly",)),
         ({}, (), False, ("sound: its estimation did not converge. Responses",)),
     ],
 )

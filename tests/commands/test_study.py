@@ -161,7 +161,7 @@ def test_check_tells_what_the_records_cannot_tell_of_the_structure(tmp_path):
     result = casid("check", path)
     assert result.exit_code == 2
     said = " ".join(result.output.split())
-    assert "no output feels idle: fix or drop" in said
+    assert "no output depends on idle: fix or drop" in said
     assert said.endswith("Mend the structure first.")
 
 
@@ -177,7 +177,9 @@ def test_check_names_channels_that_are_one_column(tmp_path):
 
 def test_check_tells_of_noise_that_no_record_gets(tmp_path):
     said = " ".join(casid("check", write_study(tmp_path, ("noise = true\n", ""))).output.split())
-    assert "[noise] is added to no record, only casid design reads it: write noise = true" in said
+    assert (
+        "[noise] is added to no record, and only casid design reads it: write noise = true" in said
+    )
     assert "[noise]" not in casid("check", write_study(tmp_path)).output
 
 
@@ -272,9 +274,7 @@ def test_check_tells_that_losses_leave_no_frequency_response(tmp_path):
             rows[k] = row.rsplit(",", 2)[0] + ",,"
     file.write_text("\n".join([header, *rows]) + "\n")
     said = " ".join(casid("check", path).output.split())
-    assert (
-        "Nothing of the frequency response can be had: missing samples (NaN) in 'p' leave" in said
-    )
+    assert "No frequency response can be estimated: missing samples (NaN) in 'p' leave" in said
     assert said.endswith("Mend the records first.")
 
 

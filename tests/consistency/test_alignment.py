@@ -25,7 +25,7 @@ def test_the_fewer_move_and_stay_in_the_order_of_the_record(check):
     moves, (why,) = aligned(check, OUTPUTS, (), ["lat"])
     assert list(moves) == ["phi", "theta"]
     np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
-    assert why == "p, q, r, ax, ay, az are taken to be of one clock, and stay with the inputs"
+    assert why == "p, q, r, ax, ay, az are assumed to share one clock, and stay with the inputs"
     assert moves_told(moves).startswith("phi -")
     assert "inputs stay" in moves_told(moves)
 
@@ -75,7 +75,7 @@ def test_attitudes_of_one_source_move_together_unless_some_are_known_to_be_elsew
     late, rest = {"phi": (0.03, 0.001)}, ("rates", "specific forces", "velocities")
     moves, (why, *_) = aligned(seen({}, late, rest), ALL, (), ["lat"])
     assert moves == dict.fromkeys(("phi", "theta", "psi"), -0.03)
-    assert why == "theta, psi: taken to be of the same clock as the others that move"
+    assert why == "theta, psi: assumed to share the clock of the others that move"
     apart = aligned(seen({}, late, (*rest, "theta", "psi")), ALL, (), ["lat"])[0]
     assert apart == {"phi": -0.03}
     assert aligned(seen({}, late, rest), ("phi", "p"), ("theta",), ["lat"])[0] == {"phi": -0.03}
@@ -88,7 +88,7 @@ def test_the_logger_without_inputs_moves_as_a_whole(check):
     first, second = ("p", "q"), ("phi", "theta", "psi")
     moves, why = aligned(check, first, second, ["lat"])
     assert list(moves) == list(second)
-    assert why[0] == "psi: taken to be of the same clock as the others that move"
+    assert why[0] == "psi: assumed to share the clock of the others that move"
     np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
     assert list(aligned(check, first, (*second, "lat"), ["lat"])[0]) == list(first)
 

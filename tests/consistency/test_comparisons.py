@@ -17,8 +17,8 @@ def test_a_sign_is_told_where_the_records_tell_no_scale():
     assert np.isnan(r.scale)
     assert check.remarks == r.remarks
     (said,) = r.remarks
-    assert said == "r has the opposite sign of what phi and theta imply; no scale is told"
-    assert not any("do not tell about r" in note for note in check.notes)
+    assert said == "r has the opposite sign of what phi and theta imply; no scale is given"
+    assert not any("say nothing about r" in note for note in check.notes)
 
 
 @pytest.mark.second

@@ -177,7 +177,7 @@ def test_channels_of_a_logger_of_which_nothing_is_told_move_with_the_others():
     assert {*moves} == {*RATES, *FORCES}
     np.testing.assert_allclose(list(moves.values()), -0.06, atol=0.005)
     assert why.startswith("ax, ay, az")
-    assert "no other skew is seen" in why
+    assert "show no other skew" in why
     alone = check.shifts_of(("p", "q", "r"))
     assert {*alone[0]} == {*RATES}
     assert check.shifts_of(FORCES) == ({}, ())  # a logger of their own
@@ -188,7 +188,9 @@ def test_a_logger_whose_channels_differ_in_skew_moves_one_by_one():
     mixed = flight(0, {"p": (0.0, 0.0, 0.06)}, NOISE, (*ATTITUDES, *FORCES))
     moves, (why,) = kinematic_check([mixed]).shifts_of(mixed.outputs)
     assert moves == {"p": pytest.approx(-0.06, abs=0.005)}
-    assert why.startswith("ax, ay, az, q, r not: skews of its logger's channels differ (p +")
+    assert why.startswith(
+        "ax, ay, az, q, r not shifted: skews of its logger's channels differ (p +"
+    )
 
 
 @pytest.mark.second
@@ -323,7 +325,9 @@ def test_an_equation_that_lacks_a_channel_says_less():
     assert [said[:7] for said in told] == ["p is 1."]
     assert untold == ()
     (note,) = kinematic_check(flight(0, error, NOISE, ("p", "phi"))).notes
-    assert note == "a scale of p is told from 10% on only: there is no q, r, theta"
+    assert (
+        note == "a scale of p is reported only if it is off by 10% or more: there is no q, r, theta"
+    )
 
 
 @pytest.mark.campaign
@@ -371,7 +375,9 @@ def test_attitudes_about_zero_that_may_be_perturbations_are_checked_roughly_and_
     check = kinematic_check(turning(GYROS))
     assert check.remarks == ()
     (note,) = check.notes
-    assert note.startswith("a scale of p, q, r is told from 10% on only: theta is about zero")
+    assert note.startswith(
+        "a scale of p, q, r is reported only if it is off by 10% or more: theta is about zero"
+    )
     assert "p is 1.1" in " ".join(kinematic_check(turning(GYROS, 1.15)).remarks)
     stated = kinematic_check(turning(GYROS), trim={"theta": 0.0})
     assert "p is 1.06" in " ".join(stated.remarks)
@@ -385,15 +391,18 @@ def test_attitudes_beside_an_az_without_gravity_are_checked_roughly():
     check = kinematic_check(bare)
     assert check.remarks == ()
     first, *_, last = check.notes
-    assert "attitudes roughly" in first
-    assert last == "a scale of p, q, r is told from 10% on only: az has no gravity in it"
+    assert "attitudes only roughly" in first
+    assert (
+        last == "a scale of p, q, r is reported only if it is off by 10% or more: az has no "
+        "gravity in it"
+    )
 
 
 def test_a_channel_that_hardly_moves_is_not_judged(noisy):
     check = kinematic_check([record for record in noisy if "lon" in record.name])
     r = next(each for each in check.channels if each.channel == "r")
     assert not r.determined
-    assert any("do not tell about r" in note for note in check.notes)
+    assert any("say nothing about r" in note for note in check.notes)
 
 
 def test_records_without_a_pair_of_channels_leave_a_note_and_no_result():
@@ -479,7 +488,7 @@ def test_attitudes_in_whole_degrees_are_called_that_and_contradict_nothing(outpu
     check = kinematic_check(records)
     assert check.remarks == ()
     assert check.channels == ()
-    said = "p was not checked: phi is counted in steps of 0.0175 rad, too coarse for what it moves"
+    said = "p was not checked: phi is counted in steps of 0.0175 rad, too coarse for its movement"
     assert check.notes[0] == said
 
 

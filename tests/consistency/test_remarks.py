@@ -48,7 +48,9 @@ def test_gravity_tells_a_specific_force_upside_down():
 def test_a_force_that_gravity_does_not_make_is_told_without_a_factor():
     names = {"ax", "ay", "az", "phi", "theta"}
     (said,) = against_gravity([still(ax=0.0, ay=9.8, az=-9.8, phi=0.0, theta=0.0)], names)
-    assert said.startswith("ay is 9.8 m/s^2 in trim, gravity makes it 0: look at its sign, unit")
+    assert said.startswith(
+        "ay is 9.8 m/s^2 in trim, but gravity would make it 0: look at its sign, unit"
+    )
 
 
 def test_trim_is_the_mean_of_all_where_nothing_rests_for_long_enough():

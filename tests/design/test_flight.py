@@ -136,7 +136,9 @@ def test_what_acts_at_another_trim_only_is_said_so_untold_unless_it_is_known():
     made = stopped(Stuck())
     assert made.untold == ("stop",)
     (said,) = made.blind
-    assert said.startswith("no output feels stop here: what acts away from this trim only is told")
+    assert said.startswith(
+        "no output depends on stop here: parameters that act only away from this"
+    )
     assert "| stop | 3 | inf | not told | not told |" in made.to_markdown()
     with pytest.raises(ValueError, match="depends on 'stop': leave it out, or design at another"):
         stopped(Stuck(), matter=("stop",))
@@ -149,7 +151,9 @@ def test_what_acts_at_another_trim_only_is_said_so_untold_unless_it_is_known():
     known = stopped(fit)
     assert known.untold == ()
     (said,) = known.blind
-    assert said.startswith("no output feels stop here, known before only; what acts away from")
+    assert said.startswith(
+        "no output depends on stop here: only prior knowledge determines them; parameters"
+    )
     place = known.names.index("stop")
     assert known.std_errors[place] <= known.before[place] < 0.1 * 3.0
 
@@ -158,7 +162,7 @@ def test_a_jump_that_the_trim_stands_on_and_the_flight_passes_is_told():
     with pytest.warns(DataWarning) as told:
         stopped(Stuck(rub=0.05))
     at_trim, flown = (str(each.message) for each in told)
-    assert at_trim.startswith("linearised where dq/dt jumps at q = 0: the slope there is neither")
+    assert at_trim.startswith("linearised where dq/dt jumps at q = 0: the slope there belongs")
     assert flown.startswith("steps, as it is flown: dq/dt jumps at q = 0, passed")
 
 
@@ -171,5 +175,5 @@ def test_what_runs_away_is_made_smaller_until_it_does_not():
     kept = made.within(r)
     assert 0.9 < made.shares(kept).max() <= 1.0
     made.shares = lambda _: np.array([np.inf])
-    with pytest.raises(ValueError, match="runs away after inputs of any size"):
+    with pytest.raises(ValueError, match="diverges after inputs of any size"):
         made.within(r)

@@ -63,7 +63,7 @@ def test_what_is_no_better_than_the_3211_is_not_recommended(design):
         design, covariance=np.diag(errors**2), instead=2.9,
         alternatives=(design.alternatives[0], steps),
     )  # fmt: skip
-    assert "; no better than the 3-2-1-1: fly that, or give more" in same.headline()
+    assert "; no better than the 3-2-1-1: fly that, or allow more" in same.headline()
     assert "of flight" not in same.headline()
     assert "no better" not in design.headline()
     assert "instead" not in replace(design, instead=1.0).headline()  # no gain in time
@@ -82,23 +82,26 @@ def test_it_says_which_aircraft_its_limits_are_kept_with(design):
     assert "nine in ten" not in design.shares()  # no other was drawn
     guess = replace(design, plausible=48, spread=0.2, before=np.full(2, np.inf))
     assert (
-        "aircraft whose values are scattered, lognormally, by 20% about those believed."
+        "aircraft whose values are scattered, lognormally, by 20% about the values given."
         in guess.shares()
     )
     assert "say so (spread, or an ensemble)" in guess.shares()
     assert "held" not in guess.shares()
     some = replace(guess, unheld=16)  # 0.9 of two thirds
-    assert "about those believed and that are held, 60% of all with such values." in some.shares()
+    assert (
+        "the values given and that stay under control, 60% of all with such values."
+        in some.shares()
+    )
     fitted = replace(design, plausible=48, spread=0.2)
     assert (
-        "scattered, lognormally, by 20% beside the errors of the fit about those" in fitted.shares()
+        "scattered, lognormally, by 20% beside the errors of the fit about the" in fitted.shares()
     )
 
 
 def test_it_says_how_far_a_card_goes_that_feedback_adds_to(design):
     assert "card" not in design.shares()
     held = replace(design, r=2.0 * design.u)
-    assert "lat 2 instead of 1 at most" in held.shares()
+    assert "by at most lat 2 instead of 1." in held.shares()
     assert "instead" not in replace(design, r=1.0001 * design.u).shares()  # the same three digits
 
 
@@ -110,20 +113,20 @@ def test_it_says_what_noise_that_is_heard_takes_beyond_limits(design):
     )  # fmt: skip
     assert "| lat rate | 70 % | 90 % | 40 % | 95 % |" in heard.shares()
     assert "| lat | 80 % | 100 % |  |  |" in heard.shares()
-    assert "Without noise limits are kept with nine in ten aircraft" in heard.shares()
+    assert "Without noise limits are kept by nine in ten aircraft" in heard.shares()
     assert heard.exceeded() == ()
     assert replace(heard, used_with_noise={"lat rate": 1.004}).exceeded() == ()  # reads 100 %
     together = replace(heard, used_with_noise={"lat rate": 1.3})
-    assert "lat rate 130% (alone 40%). Filter what it hears, fly a" in together.shares()
+    assert "lat rate 130% (alone 40%). Filter the feedback signals, fly a" in together.shares()
     alone = replace(together, used_by_noise={"lat rate": 1.1}).exceeded()
-    assert "lat rate 130% (alone 110%). No card keeps that: filter" in alone[0]
+    assert "lat rate 130% (alone 110%). No card avoids that: filter" in alone[0]
     assert len(alone) == 1
 
 
 def test_what_is_not_told_is_left_out_and_what_no_3211_tells_is_said(design):
     some = replace(design, untold=("Lp",), instead=np.inf)
     assert "0.25 times those of 3-2-1-1 (geometric mean), 0.25 at worst (Llat)" in some.headline()
-    assert "for what no time of 3-2-1-1 tells; without Lp, which no input tells" in some.headline()
+    assert "for what no time of 3-2-1-1 identifies; without Lp, which no input" in some.headline()
     assert "| steps | 0.250 | 0.250 | Llat |" in some.comparison()
     assert "| Lp | -2 | inf | not told | not told |" in some.to_markdown()
     assert "not told" not in design.to_markdown()

@@ -68,7 +68,7 @@ def test_a_fit_without_noise_is_told():
     )
     np.testing.assert_allclose(np.diag(known_before(FREE, known)), 1 / np.diag(known.covariance))
     known.covariance = known.covariance * 1e-26
-    with pytest.warns(DataWarning, match=r"errors of 1e-16 of its .* do not count as known"):
+    with pytest.warns(DataWarning, match=r"errors of 1e-16 of its .* do not count as prior"):
         np.testing.assert_array_equal(known_before(FREE, known), np.zeros((n, n)))
 
 
@@ -103,7 +103,7 @@ def test_the_value_furthest_outside_its_bounds_is_named():
 def test_a_filter_s_innovations_are_no_noise_of_the_outputs():
     model, n = ShortPeriod(), len(ShortPeriod.outputs)
     notes = SimpleNamespace(K=np.zeros((2, n)))
-    with pytest.raises(ValueError, match="nothing of what turbulence does to the outputs"):
+    with pytest.raises(ValueError, match="not show what turbulence does to the outputs"):
         noise_of(model, SimpleNamespace(R=np.eye(n), notes=notes), None)
 
 

@@ -53,7 +53,7 @@ def test_parameters_of_which_only_combinations_are_told_are_found():
     F = np.diag(np.arange(1.0, n + 1))
     F[:2, :2] = 1.0
     assert made.tellable(F).tolist() == [False, False] + [True] * (n - 2)
-    with pytest.raises(ValueError, match="no input tells"):
+    with pytest.raises(ValueError, match="no input identifies"):
         made.tellable(np.ones((n, n)))
 
 

@@ -365,7 +365,7 @@ REFERENCES = ("ra", "rb")
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*noise fed back into:casid.errors.DataWarning")
+@pytest.mark.filterwarnings("ignore:.*noise that is fed back into it:casid.errors.DataWarning")
 def test_a_recorded_reference_removes_the_bias_of_feedback_and_states_its_error():
     omega = np.geomspace(1.5, 8.0, 7)
     joint, stated = [], []

@@ -152,7 +152,7 @@ def test_the_stated_error_holds_under_feedback():
 def test_pairs_that_noise_rules_are_left_out_and_others_of_the_frequency_kept():
     gain = np.diag([0.0, 0.9])  # of pitch only
     omega = np.geomspace(2.0, 40.0, 12)
-    with pytest.warns(DataWarning, match="noise fed back into"):
+    with pytest.warns(DataWarning, match="noise that is fed back into it"):
         found = frequency_response(loop(3, gain), omega=omega)
     at = found.flags[FED_BACK.format("lon")]
     lost = np.isnan(found.G)

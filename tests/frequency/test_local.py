@@ -158,7 +158,7 @@ def held_in_loop(seed, noise=0.02, dt=0.02, last=9.0):
     return Record(t, u[:, None], y, ("u",), ("p", "a"), f"{seed}", "zoh")
 
 
-@pytest.mark.filterwarnings("ignore:.*noise fed back into:casid.errors.DataWarning")
+@pytest.mark.filterwarnings("ignore:.*noise that is fed back into it:casid.errors.DataWarning")
 @pytest.mark.parametrize("method", ["local", "windows"])
 def test_noise_fed_back_above_a_sweep_is_no_direct_term(method):
     omega = np.geomspace(2.0, 8.0, 5)

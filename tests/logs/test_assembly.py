@@ -154,7 +154,7 @@ def test_delays_from_commands_in_steps_are_those_of_held_values(interval, hold):
     (record,) = assemble(inputs, outputs, 0.01, "flight")
     assert record.hold == hold
     (said,) = hold_told(inputs, outputs, 0.01)
-    assert said.endswith(f"delays were half its interval, {500 * interval:.3g} ms, longer")
+    assert said.endswith(f"delays would be half its interval, {500 * interval:.3g} ms, longer")
     tau = np.linspace(0.07, 0.09, 81)
     found = [_lag(truth, record, each) - record.y[:, 0] for each in tau]
     errors = [np.sum(each[200:-20] ** 2) for each in found]

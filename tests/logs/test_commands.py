@@ -159,7 +159,7 @@ def test_actuators_at_rest_are_told_and_attitudes_are_not_offered():
     _, outputs = find_channels(found)
     assert undriven(found, outputs) == (
         "flight.tdms: no column is known for inputs; RCOU never moves: nothing is driven, so "
-        "nothing flies; nothing moves but what was measured: were commands logged?"
+        "nothing can be identified; nothing moves but what was measured: were commands logged?"
     )
 
 

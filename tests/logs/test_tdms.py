@@ -30,7 +30,7 @@ def test_columns_of_times_and_waveforms_are_clocks_and_units_become_si():
 
 def test_channels_without_a_time_are_told():
     (said,) = read_tdms(tdms(2.0), nptdms)[1]
-    assert said.startswith("group 'gyros': no time is known of without time: waveforms have it")
+    assert said.startswith("group 'gyros': no time is known for without time: waveforms have it")
 
 
 def test_waveforms_of_a_group_keep_their_clocks_apart():
@@ -83,7 +83,7 @@ def test_clocks_that_nobody_can_compare_are_told():
         ("I", "c", np.arange(5.0), {"wf_increment": 0.1, "wf_start_time": unset}),
     )
     found, (note,) = read_tdms(data, nptdms)
-    assert note.startswith("'H', 'I' count from an instant that is not told")
+    assert note.startswith("'H', 'I' count from an unknown instant")
     for topic in found:
         np.testing.assert_allclose(topic.t, 0.1 * np.arange(5), rtol=1e-12)
 
@@ -134,7 +134,7 @@ def test_numbers_of_other_names_are_no_instants(name):
     data = written(("G", name, np.arange(4.0)), ("G", "p", np.arange(4.0)))
     found, notes = read_tdms(data, nptdms)
     assert not list(found)
-    assert f"no time is known of {name}, p" in notes[0]
+    assert f"no time is known for {name}, p" in notes[0]
 
 
 def test_of_several_columns_of_instants_the_plainest_counts():

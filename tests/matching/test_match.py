@@ -183,7 +183,7 @@ def test_shift_left_of_a_pole_is_refused():
 
 
 def test_grid_outside_the_band_is_refused():
-    with pytest.raises(ValueError, match=r"means something in 0\.1 to 10 rad/s only"):
+    with pytest.raises(ValueError, match=r"holds in 0\.1 to 10 rad/s only"):
         match(Lag(), black_box(SECOND), omega=np.array([1.0, 50.0]))
 
 

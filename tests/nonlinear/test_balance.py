@@ -53,7 +53,7 @@ def test_what_is_named_gives_way_by_what_balance_needs():
     w = (np.sqrt(1.8**2 + 4 * 0.2 * 9.80665) - 1.8) / 0.4
     assert rest.found["w"] == pytest.approx(w)
     far = balanced(Sinking(), Trim(values={"u": 30.0, "thr": 1.9}, name="cruise"))
-    assert far.doubt == f"at cruise with w = {w:.4g}: thr -0.1 from the 1.9 it names"
+    assert far.doubt == f"at cruise with w = {w:.4g}: thr moves by -0.1 from the 1.9 given"
 
 
 class Shared(NonlinearModel):
@@ -227,7 +227,7 @@ def test_of_several_balances_that_is_taken_in_which_records_began():
 def test_several_balances_none_of_which_is_clearly_nearest_are_told(began):
     rest = balanced(Twofold(), CRUISE, flown=began)
     assert rest.found == {"w": pytest.approx(1.0)}
-    assert rest.doubt == "at cruise with w = 1: it balances with w = -1 too"
+    assert rest.doubt == "at cruise with w = 1: it also balances with w = -1"
 
 
 def test_a_reference_in_balance_is_not_taken_where_another_balance_was_flown():

@@ -56,7 +56,7 @@ def test_a_bootstrap_puts_residuals_back_on_the_nonlinear_simulation(detrended):
     found = bootstrap(fit, record, runs=3, block=0.2, execution=HERE)
     assert not any(found.reasons)
     assert (np.abs(found.bias) < 4 * np.nanmean(found.std_errors, axis=0)).all()
-    with pytest.raises(ValueError, match="not one of these records"):
+    with pytest.raises(ValueError, match="not estimated from these records"):
         bootstrap(fit, swung(4, size=0.9), runs=2)
     assert simulate(fit.model, record).trim == {}
 

@@ -62,4 +62,4 @@ def test_a_condition_on_a_jump_or_a_kink_is_told_by_equation_and_channel(model, 
     said = "".join(str(each.message) for each in told)
     assert said.count(" at ") + said.count("has a slope") == len(words)
     assert all(each in said for each in words)
-    assert ("the slope there is neither side's" in said) == bool(words)
+    assert ("the slope there belongs to neither side" in said) == bool(words)

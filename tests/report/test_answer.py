@@ -107,7 +107,7 @@ def test_every_parameter_in_doubt_is_named_with_its_reasons(content):
     assert all("unsure" in found[row.name] for row in rows[1:])
     said = not_believed(page, worried)
     assert f"{len(rows)} of {len(rows)} parameters: 1 held by a bound ({rows[0].name})" in said
-    assert said.endswith("Errors of all others and of modes take the bounds that hold for right.")
+    assert said.endswith("of all other parameters and of modes assume that these bounds are right.")
     sure = [dataclasses.replace(row, std_error=1e-9 * abs(row.value)) for row in fit.parameters]
     alone = dataclasses.replace(content, models={})
     certain = dataclasses.replace(fit, parameters=tuple(sure))

@@ -218,12 +218,12 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
     ),
     "of noise": (
         [("p = 0.002", "p = 0.5"), ("phi = 0.002", "phi = 0.2")], None, None,
-        ["No output answers the inputs"],
+        ["No output responds to the inputs"],
     ),
     "of sensors that start late": (
         [], None, changed("3211", at_rest),
         ["Kinematics: phi does not follow from the other channels",
-         "of p goes with the inputs: vibration", "The black box grows at"],
+         "% of p: vibration, gusts", "The black box has growing modes at"],
     ),
     "held to a band within its noise": (
         [("[match]", BANDS)], None, None,
@@ -232,7 +232,7 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
     ),
     "held to a band that nothing leaves": (
         [("[match]", '[qualification.tolerances]\np = "900 deg/s"\n\n[match]')], None, None,
-        ["Nothing leaves the tolerance band of trim in random: that a model passes there"],
+        ["The measurement never leaves the tolerance band around trim in random: passing"],
     ),
     "of records that disagree": (
         [], None, delayed("3211", column=2, samples=5),
@@ -258,7 +258,7 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
     ),
     "of an aircraft on the ground": (
         QUIET, None, changed("sweep", on_the_ground),
-        ["sweep: at 14-19.96 s inputs move and all outputs rest. Nothing flies there"],
+        ["sweep: at 14-19.96 s the inputs move but no output does, so"],
     ),
     "of one long record": (
         [(RECORDS, f'{RECORDS[:-1]}, "third.csv"]'), CHOICE,
@@ -268,11 +268,11 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
     ),
     "of inputs flown together": (
         PEDALS, None, partial(with_pedals, moved=interconnect),
-        ["All inputs together: at ", "fewer things move lat, ped from outside than there are"],
+        ["rad/s the inputs lat, ped are not moved independently from outside"],
     ),
     "of an input that gusts move by feedback": (
         PEDALS, None, partial(with_pedals, moved=hardly, feedback=1.0, gust=2.0),
-        ["Inputs follow what the black box leaves of outputs so much, noise that a controller",
+        ["Inputs follow the black box's residuals so strongly (noise that a controller",
          "Of input ped only "],
     ),
 }  # fmt: skip

@@ -58,7 +58,7 @@ def test_modes_are_stated_with_what_the_black_box_says_that_structures_miss(cont
     assert alone.bands["output error"] == mode_bands(fit)
     beside = mode_bands(fit, error=structure_error(fit, box))
     assert content.bands["output error"] == beside != mode_bands(fit)
-    assert "a mode of the black box near them" in page.read_text(encoding="utf-8")
+    assert "a nearby mode of the black box" in page.read_text(encoding="utf-8")
     other = replace(box, system=replace(box.system, outputs=("q", *box.system.outputs[1:])))
     poor = replace(
         box, missed=Missed(output="p", omega=3.0, ratio=2.0, order=8)

@@ -221,4 +221,4 @@ def test_turbulence_is_no_other_aircraft():
 def test_a_validation_record_that_no_model_explains_is_told():
     assert judged(0) == []
     (said,) = judged(8)
-    assert said.startswith("Validation record old is not explained as the identification records")
+    assert said.startswith("Validation record old is not explained as well as the identif")

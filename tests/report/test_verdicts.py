@@ -28,7 +28,7 @@ def test_a_model_that_runs_out_of_numbers_is_poor_and_no_worse_black_box_excuses
     figures = {"rms": np.inf, "fit": -np.inf, "theil": 1.0, "noise": 0.1, "residual": 0.1}
     lost = Verdict(output="p", unit="rad/s", records=(1.0,), advantage=np.inf, **figures)
     assert (lost.word, lost.structural, lost.noisy) == ("poor", True, False)
-    assert lost.reason == "the model runs out of all numbers"
+    assert lost.reason == "the simulation of the model diverges"
     assert lost.caution.endswith(f"poorly (Theil's coefficient 1.00): {lost.reason}.")
 
 
@@ -90,7 +90,7 @@ def test_errors_of_coloured_residuals_do_not_allow_for_answers_to_gusts_but_a_fi
     rows = (SimpleNamespace(**row, std_error=0.2, cramer_rao=0.1),)
     (said,) = uncertain(SimpleNamespace(parameters=rows, notes=SimpleNamespace(K=gain)))
     assert "typically 2.0 times the Cramér-Rao bound." in said.text
-    assert ("compare those with process_noise" in said.text) is told
+    assert ("compare with process_noise" in said.text) is told
 
 
 @pytest.mark.slow

@@ -42,7 +42,7 @@ def test_a_stick_of_another_gain_is_told_with_what_its_record_moves():
     records[2] = replace(records[2], u=1.3 * records[2].u)
     fit, (said,) = told(records)
     assert ": flight 2 and all others, which agree (chi-square of" in said
-    assert "biases or state_biases free what is constant; leave it out" in said
+    assert "biases or state_biases allow for constant offsets; leave it out" in said
     without, nothing = told([each for each in records if each.name != "flight 2"])
     assert nothing == []
     # By noise alone: as known without it, and a little better for as many records more.
@@ -163,7 +163,7 @@ def test_a_record_of_the_largest_or_smallest_inputs_may_be_no_fault_of_instrumen
 ):
     said = sentence(sizes, which)
     assert said.startswith(OPPOSED)
-    assert ("a response that depends on amplitude does the same (ask distortion)" in said) == (
+    assert ("a response that depends on amplitude looks the same (ask distortion)" in said) == (
         end != ""
     )
     assert end in said
@@ -171,8 +171,8 @@ def test_a_record_of_the_largest_or_smallest_inputs_may_be_no_fault_of_instrumen
 
 def test_where_no_few_are_to_blame_no_instrument_is():
     said = sentence([[1], [1], [1]], (2,), None)
-    assert "r2 most, and the others too, whichever few are left out (chi-square" in said
-    assert "Estimates without r2 are elsewhere, in errors that noise alone would make Lp by" in said
+    assert "r2 most, but also the others, whichever few are left out (chi-square" in said
+    assert "Estimates without r2 differ, in standard errors from noise alone: Lp by" in said
     assert "ask distortion" in said
     assert "offset" not in said
     assert sentence([[1], [1], [1]], (2,), None, far=1.0) == ""  # that moves nothing

@@ -163,7 +163,7 @@ def test_a_motor_of_eighty_radians_a_second_is_estimated_as_by_least_squares():
 
 
 def test_a_mode_too_fast_for_the_integration_is_named():
-    with pytest.raises(ModelError, match=r"-1e\+05 rad/s, mostly of n, .*64 steps.* steady state"):
+    with pytest.raises(ModelError, match=r"-1e\+05 1/s, mostly of n, .*64 steps.* steady state"):
         output_error(Motor(lag=1e-5), climbed(), fixed=("lag",))
 
 

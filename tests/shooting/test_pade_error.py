@@ -87,7 +87,9 @@ def test_it_is_the_difference_of_a_pade_approximation_and_a_late_staircase(hold,
 
 @pytest.mark.second
 def test_steps_that_are_rounded_are_told_and_smooth_sticks_and_short_delays_are_not():
-    with pytest.warns(DataWarning, match="ay feels steps.*rounds by up to 0.3.*Record.shift"):
+    with pytest.warns(
+        DataWarning, match="ay responds to steps.*smooths these by up to 0.3.*Record.shift"
+    ):
         output_error(Roll(), flown(2, "zoh", 0.107))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

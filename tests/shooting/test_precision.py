@@ -187,7 +187,7 @@ def test_biases_that_run_away_with_initial_states_are_named():
     for times, told in ((99.0, False), (101.0, True)):
         away = replace(point, bias=np.array([[0.0, 0.0, 0.0], [0.0, -times * size[1], 0.0]]))
         said = run_away(programme, programme.pack(away), lost=1)
-        assert ("biases of p run away" in said) == told
+        assert ("biases of p diverge" in said) == told
         assert ("(OutputError(initial=...).fit)" in said) == told  # `output_error` has no initial=
 
 
@@ -223,7 +223,7 @@ def test_a_mode_that_makes_a_ramp_of_growth_is_no_solution():
     x = scipy.signal.lsim(([[0.05]], [[3.0]], [[1.0]], [[0.0]]), u, t)[1]
     y = (x + 0.02 * rng.standard_normal(200))[:, None]
     record = Record(t, u[:, None], y, ("u",), ("x",), "slow")
-    with pytest.raises(ConvergenceError, match="the biases of x run away together"):
+    with pytest.raises(ConvergenceError, match="the biases of x diverge together"):
         output_error(Slow(), record)
     fit = output_error(Slow(), record, biases=False)
     assert fit["a"].active

@@ -98,7 +98,7 @@ def test_gains_that_scatter_from_flight_to_flight_are_nobodys_fault_and_widen_er
     gains = [8.0, 10.0, 12.0, 8.5, 10.5, 12.5]
     records = flown(gains, seed=2, alike=True)
     fit, (said,) = told(records)
-    assert "and the others too, whichever few are left out" in said
+    assert "but also the others, whichever few are left out" in said
     assert "ask distortion" in said
     # Flown alike, each counts the same: the estimate is their mean, its error that of a mean.
     ones = [output_error(Banking(), each, domain="frequency")["Llat"].value for each in records]

@@ -61,7 +61,7 @@ def test_a_single_wild_sample_does_not_count():
 
 def test_a_mode_that_no_steps_follow_is_named():
     with pytest.raises(
-        ModelError, match=r"stiff at the start: its mode at -4e\+04 rad/s, mostly of x"
+        ModelError, match=r"stiff at the start: its mode at -4e\+04 1/s, mostly of x"
     ):
         evaluator(Follower(a=-4e4), np.zeros(len(T)))
 

@@ -189,11 +189,11 @@ def test_where_an_end_explains_nothing_shorter_intervals_find_the_truth():
 
 @pytest.mark.second
 def test_a_fit_that_explains_nothing_of_an_output_says_so():
-    said = "nothing is explained of phi.*: shorter intervals, other starts and their costs tell"
+    said = "nothing of phi .* is explained.*: try shorter intervals, other starts and compare their"
     with pytest.warns(DataWarning, match=said):
         lost = output_error(Swing(), swung(), biases=False, interval=5.0)
     assert lost.cost > output_error(Swing(k=20.0), swung(), biases=False).cost + 1000
-    with pytest.warns(DataWarning, match=r"nothing is explained of phi.*: other starts"):
+    with pytest.warns(DataWarning, match=r"nothing of phi .* is explained.*: try other starts"):
         output_error(Swing(k=25.0, b=4.0), swung(-1), fixed=("k", "b"), biases=False)
 
 
@@ -206,6 +206,6 @@ def test_the_start_of_a_filter_and_what_lies_beside_a_fit_nearby_are_not_sought_
     assert missed(lost)
     assert missed(lost.failed("for some reason")) == []
     assert not missed(own.output_error())
-    with pytest.warns(DataWarning, match="nothing is explained of phi"):
+    with pytest.warns(DataWarning, match="nothing of phi .* is explained"):
         near = output_error(Swing(), swung(), biases=False, interval=5.0)
     assert own.output_error(near).cost == pytest.approx(near.cost)

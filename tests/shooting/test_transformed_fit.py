@@ -168,7 +168,7 @@ def test_a_bootstrap_scatters_as_stated_and_refuses_other_records():
     scatter = np.std(found.values, axis=0, ddof=1) / np.sqrt(np.diag(fit.covariance))
     assert 0.6 < np.sqrt(np.mean(scatter**2)) < 1.5
     louder = [replace(each, y=1.5 * each.y) for each in records]
-    with pytest.raises(ValueError, match="not one of these records"):
+    with pytest.raises(ValueError, match="not estimated from these records"):
         bootstrap(fit, louder, estimator=estimator, runs=2)
 
 

@@ -145,7 +145,7 @@ ONE, TWO = np.array([[0.1], [0.1]]), np.diag([0.1, 0.1])  # gusts: into both, in
 
 @pytest.mark.second
 def test_one_gust_that_drives_two_states_is_told_and_two_are_not():
-    with pytest.warns(DataWarning, match="innovations of p and q go together, .+ R=.full."):
+    with pytest.warns(DataWarning, match="innovations of p and q are correlated, .+ R=.full."):
         output_error(Lags(), [driven(1, ONE), driven(2, ONE)], process_noise=True)
     output_error(Lags(), [driven(1, TWO), driven(2, TWO)], process_noise=True)
     told = {"process_noise": "gain", "R": "full"}  # the remedy that it names

@@ -90,9 +90,11 @@ def comparison(errors):
 def test_the_one_with_the_smallest_errors_is_chosen_the_first_of_equals():
     clear = chosen(comparison([[0.3, 0.3, 0.2], [0.0, 0.1, 0.0], [np.nan] * 3]))
     assert (clear.chosen, clear.fit) == ("b", "B")
-    assert clear.headline().startswith("Last step: b, by errors of x, y, z predicted")
+    assert clear.headline().startswith("Last step: b, chosen by errors of predicting x, y, z")
     assert np.isinf(clear.excess[2])
-    assert clear.headline().endswith("; above its errors: a +26 ± 4 %, c failed")
+    assert clear.headline().endswith(
+        "; errors of the others, relative to its own: a +26 ± 4 %, c failed"
+    )
     close = chosen(comparison([[0.03, -0.02, 0.01], [0.0, 0.0, 0.0]]))
     assert (close.chosen, close.fit) == ("a", "A")
     assert close.excess[1] < 0

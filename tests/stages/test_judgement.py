@@ -34,7 +34,7 @@ def test_a_prediction_is_called_one_in_table_figure_and_box(pole):
     cautions = " ".join(each.text for each in sections["verdicts"].cautions)
     assert (told in cautions) == predicted
     remedy = (
-        "Validation records: Worse than by their means are predicted p: such growth is not there"
+        "Validation records: Predictions of p are worse than their means: this growth is not real"
     )
     ranked = sorted(sections["verdicts"].cautions, key=lambda each: each.rank)
     assert [each.text.startswith(remedy) for each in ranked[:1]] == [True] * predicted
@@ -47,7 +47,7 @@ def test_a_prediction_is_called_one_in_table_figure_and_box(pole):
     (bars,) = sections["rms"].draw()
     assert bars.caption.startswith(f"RMS {'prediction' if predicted else 'simulation'} error")
     white = body(sections["whiteness"], content)
-    assert ("leave no white residuals" in white) == predicted
+    assert ("do not leave white residuals" in white) == predicted
     assert ("Share within the band" in white) != predicted
     assert len(list(sections["whiteness"].draw())) == (0 if predicted else 1)
 

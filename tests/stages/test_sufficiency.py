@@ -42,7 +42,7 @@ def test_an_input_that_is_fed_back_is_told_of_instead_of_the_structure():
     rows = tuple(dataclasses.replace(row, fed_back=True) for row in back.rows)
     (shown,) = SUFFICIENCY.show(dataclasses.replace(back, rows=rows), None)
     (caution,) = shown.cautions
-    assert caution.text.startswith("Of r the black box is no measure of the structure")
+    assert caution.text.startswith("For r the black box cannot judge the structure")
     assert "feed an input back, lat at 1-2 rad/s" in caution.text
     assert shown.lead.endswith("Left out is what outputs feed back: lat at 1-2 rad/s.")
     assert [row.cell for row in (*rows, *back.rows)] == ["(98σ)", "(1σ)", "98σ!", "1σ"]

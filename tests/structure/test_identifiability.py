@@ -70,7 +70,7 @@ def test_a_product_and_an_unused_parameter_are_named(kind):
     assert found.confounded == (("b", "c"),)
     np.testing.assert_array_equal(np.isinf(found.inflation), [False, True, True, False])
     assert "cannot be told apart: b and c; fix one" in str(found)
-    assert "no output feels d: fix or drop" in str(found)
+    assert "no output depends on d: fix or drop" in str(found)
 
 
 def test_fixing_one_of_each_group_makes_the_rest_identifiable():
@@ -242,7 +242,7 @@ def test_what_only_a_tie_tells_is_neither_lost_nor_to_be_fixed():
     assert found.identifiable
     assert found.tied == ("T",)
     assert found.insensitive == ()
-    assert "only the structure's constraints tell T" in str(found)
+    assert "only the structure's constraints determine T" in str(found)
     loose = identifiability(TiedRoll(wide=True), flown(TiedRoll(wide=True)))
     assert loose.insensitive == ("T",)
     assert not loose.identifiable

@@ -71,7 +71,7 @@ def test_skews_that_kinematics_cannot_tell_are_not_taken_for_none(tmp_path):
         record = read_csv(tmp_path / f"{name}.csv", inputs=["lat"], outputs=["p", "phi"])
         y = np.where(rng.random(record.y.shape) < 0.35, np.nan, record.y)
         write_csv(tmp_path / f"{name}.csv", replace(record, y=y))
-    told = r"tells nothing of these records .*p was not checked: 3\d% of p is missing, 3\d% of phi"
+    told = r"cannot judge these records .*p was not checked: 3\d% of p is missing, 3\d% of phi"
     with pytest.raises(ValueError, match=told):
         read_records(read_study(path))
 

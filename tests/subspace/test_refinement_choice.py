@@ -89,8 +89,8 @@ def test_noise_fed_back_is_answered_by_prediction_errors(
     found = Estimate(plant, K)
     if chosen.endswith("remark"):
         told = (
-            f"prediction errors, which are not, are {distance} stated errors away, but state too "
-            "small errors themselves of records as short as these; longer records tell more;"
+            f"prediction errors, which is not biased so, is {distance} stated errors away, but "
+            "its own stated errors are too small for records as short as these; longer records"
         )
         with pytest.warns(DataWarning, match=told):
             other = refinement_choice._without_feedback(found, flown, 6.0, np.eye(3))

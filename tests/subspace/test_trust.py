@@ -81,7 +81,7 @@ def test_pure_noise_is_not_explained():
     box = pbsid([Record(t, u, y, ("a", "b"), ("c", "d"))], order=2, past=8, pole=6.0)
     assert box.explained.max() < 0.2
     assert [said.split(":")[0] for said in box.doubts()] == [
-        "These data do not support a model", "No output answers the inputs"
+        "These data do not support a model", "No output responds to the inputs"
     ]  # fmt: skip
 
 
