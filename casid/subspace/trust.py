@@ -197,10 +197,10 @@ def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
         f"{m.real:+.3g}" + (f" ± {m.imag:.3g}j" if m.imag else "") + " 1/s" for m in modes
     )
     return (
-        f"The black box has growing modes at {names} that are not confirmed by the likelihood, "
-        "by all records, by causal prediction or by a model of one state less: these modes may "
-        "as well decay. Do not call the aircraft unstable because of that; try another order, or "
-        "longer records.",
+        f"The black box has growing modes at {names} that some check does not confirm (likelihood, "
+        "agreement of the records, causal prediction, a model of one state less): they may as well "
+        "decay. Do not call the aircraft unstable because of them; try another order, or longer "
+        "records.",
     )
 
 

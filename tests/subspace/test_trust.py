@@ -145,8 +145,8 @@ def test_growth_at_the_limit_of_the_refinement_is_doubted_by_name():
     (mode,) = doubted(slow_plant(0.4), slow_plant(limit)).doubtful
     assert mode.real == pytest.approx(limit)
     (said,) = growth_doubts(np.array([mode, 0.2 + 3j]))
-    assert "+0.1 rad/s" in said
-    assert "+0.2 ± 3j rad/s" in said
+    assert "+0.1 1/s" in said
+    assert "+0.2 ± 3j 1/s" in said
     assert growth_doubts(np.zeros(0, dtype=complex)) == ()
 
 
