@@ -157,7 +157,9 @@ def test_of_two_balances_that_is_shown_which_the_records_flew():
     found = envelope(fit, [trim], [("w", "w")])
     assert found.values[0, 0] == pytest.approx(-2 * fit.model.a)  # 2 a w at w = -1
     assert found.doubts == ()
-    with pytest.warns(DataWarning, match="balance is in doubt, at level .* with w = -1 too"):
+    with pytest.warns(
+        DataWarning, match="balance is in doubt, at level .* also balances with w = -1"
+    ):
         told = envelope(replace(fit, initial_states=None), [trim], [("w", "w")])
     assert len(told.doubts) == 1
 
@@ -242,8 +244,8 @@ def test_what_lies_off_the_one_model_is_told_and_the_report_leads_with_it(fit):
     off = replace(own, model=replace(own.model, Mq=own.model.Mq - 8 * own["Mq"].std_error))
     found = envelope(fit, at(20.0, 40.0), PAIRS, local={at(20.0)[0]: off})
     (said,) = found.apart
-    assert said.startswith(f"q' by q at 20 m/s {off.model.Mq:.3g} ± ")
-    assert said.endswith("of the one model")
+    assert said.startswith(f"q' by q at 20 m/s is {off.model.Mq:.3g} ± ")
+    assert said.endswith("by the one model")
     assert "1 local fits beside them (1 of their entries off it)" in found.headline()
     ((caution,),) = (section.cautions for section in _show(found, SimpleNamespace(model=fit.model)))
     assert caution.rank <= LEADING

@@ -58,11 +58,13 @@ def test_what_keeps_its_steps_and_lines_is_taken_in_silence(read):
 
 
 def test_corners_that_a_slower_record_cuts_are_told_with_their_size():
-    with pytest.warns(DataWarning, match=r"every 0.1 s lat is no straight line, \d+\.\d% is lost"):
+    with pytest.warns(
+        DataWarning, match=r"every 0.1 s lat is no straight line, and up to \d+\.\d% is"
+    ):
         flown(stepped(35), "foh").resample(0.1)
     # Straight lines between samples h apart leave ω² h² / 8 of a sine in the middle, by √(8 / 15)
     # as much in the mean: of 5 rad/s 2.3 % at 0.1 s.
-    with pytest.warns(DataWarning, match=r"lat is no straight line, 2\.[0-9]% is lost"):
+    with pytest.warns(DataWarning, match=r"lat is no straight line, and up to 2\.[0-9]% is"):
         flown(np.sin(5 * T), "foh").resample(0.1)
 
 
@@ -87,7 +89,9 @@ def test_what_moves_between_samples_that_are_kept_is_told_with_its_size(hold):
     off[1::2] = between - u[1::2]
     share = np.std(off[:-1]) / np.std(u[:-1])
     assert share > 0.1
-    said = f"flown.*are kept lat moves otherwise, {share:.1%} is lost: a step may be off by 0.02 s"
+    said = (
+        f"flown.*are kept lat moves otherwise, by up to {share:.1%}, which is lost: a step may be"
+    )
     with pytest.warns(DataWarning, match=said):
         flown(u, hold).decimate(2)
 

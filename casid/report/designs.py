@@ -46,7 +46,7 @@ def plot_errors(ax: Axes, design: Design) -> Axes:
     ax.set_ylabel("standard error over that of 3-2-1-1")
     ax.set_xticks(place, [design.names[k] for k in told], rotation=90)
     if design.untold:
-        ax.set_xlabel(f"without {listed(design.untold)}, which no input tells apart")
+        ax.set_xlabel(f"without {listed(design.untold)}, which no input identifies")
     many = len(design.alternatives)
     ax.legend(fontsize="x-small", ncols=many, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ax

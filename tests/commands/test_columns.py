@@ -30,5 +30,5 @@ def test_half_a_pair_is_refused_with_what_was_expected(typed):
 
 def test_options_beside_a_study_are_refused_by_name_and_none_is_not():
     refuse_beside_study(unit={}, record=())
-    with pytest.raises(ValueError, match="--unit, --record with a study"):
+    with pytest.raises(ValueError, match="--unit, --record cannot be given with a study"):
         refuse_beside_study(unit={"p": "deg/s"}, fixed=(), record=("a.csv",))

@@ -84,12 +84,12 @@ def test_where_nothing_says_so_inputs_are_straight_lines():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("fit.json", "a.m", *ROLL, "--dt", "0.02"), "--dt says nothing about a.m, a linear fit"),
-        (("fit.json", "a.c", *ROLL, "--pade", "3"), "--pade says nothing about a.c"),
-        (("fit.json", "a.py", *ROLL, "--pade", "3"), "--pade says nothing about a.py"),
-        (("fit.json", "a.m", *ROLL, "--hold", "zoh"), "--hold says nothing about a.m"),
-        (("fit.json", "a.c", *ROLL, "--dt", "0.02", "--steps", "4"), "--steps says nothing about"),
-        (("3211.csv", "a.mat", *ROLL), "--model says nothing about 3211.csv, a record"),
+        (("fit.json", "a.m", *ROLL, "--dt", "0.02"), "--dt does not apply to a.m, a linear fit"),
+        (("fit.json", "a.c", *ROLL, "--pade", "3"), "--pade does not apply to a.c"),
+        (("fit.json", "a.py", *ROLL, "--pade", "3"), "--pade does not apply to a.py"),
+        (("fit.json", "a.m", *ROLL, "--hold", "zoh"), "--hold does not apply to a.m"),
+        (("fit.json", "a.c", *ROLL, "--dt", "0.02", "--steps", "4"), "--steps does not apply to"),
+        (("3211.csv", "a.mat", *ROLL), "--model does not apply to 3211.csv, a record"),
         (("3211.csv", "a.parquet", "--mat-version", "5"), "a.parquet, which is no .mat"),
         (("fit.json", "a.mat", *ROLL, "--mat-version", "5"), "numbers are in SI already"),
     ],

@@ -314,7 +314,7 @@ def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
         casid("convert", "fit.json", "flown.m", "--model", "any.py:Any")
     )
     held = casid("convert", "fit.json", "own.py", "--model", "any.py:Any", "--hold", "zoh")
-    assert "--hold says nothing about own.py, a nonlinear fit" in refused(held)
+    assert "--hold does not apply to own.py, a nonlinear fit" in refused(held)
 
 
 # ---- what is read is not written over ------------------------------------------------------------

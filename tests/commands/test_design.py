@@ -148,7 +148,7 @@ def test_the_weakest_parameters_are_those_that_a_flight_can_tell(tmp_path):
     result = run(study, "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
     said, table = result.output.split("Weakest parameters")
-    assert "without Lp, more, which no input tells apart" in " ".join(said.split())
+    assert "without Lp, more, which no input identifies" in " ".join(said.split())
     names = re.findall(r"(Yv|Lv|Lp|Llat|more)\s+-?[0-9]", table)
     assert sorted(names) == ["Llat", "Lv", "Yv"]  # neither of the two that are one
 

@@ -61,7 +61,7 @@ def test_what_no_input_tells_apart_is_left_out_of_the_picture_by_name():
     ax = plot_errors(Figure().subplots(), replace(design(), untold=("Lp",)))
     assert [label.get_text() for label in ax.get_xticklabels()] == ["Llat"]
     assert [line.get_ydata().tolist() for line in ax.lines] == [[1.0], [pytest.approx(0.25)]]
-    assert ax.get_xlabel() == "without Lp, which no input tells apart"
+    assert ax.get_xlabel() == "without Lp, which no input identifies"
 
 
 def test_a_designs_table_has_all_three_errors():
