@@ -87,5 +87,5 @@ def test_a_delay_at_the_end_of_the_search_is_told_as_that(late, margin):
     (found,) = input_delays(LateRoll(), flown(late, 3), margin=margin)
     assert np.isnan(found.std_error)
     assert found.delay == (-margin if late > 0 else LateRoll.infos()["tau"].upper)
-    assert "may be further" in found.remark
+    assert "may lie beyond" in found.remark
     assert "nan" not in found.remark
