@@ -113,7 +113,10 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
         ({"band": (2.2, 2.3), "method": "multisine"}, "0 harmonics .* widen the band or fly"),
         ({"band": (0.0, 2.0)}, "0 < lowest < highest"),
         ({"unit": -1.0}, "unit = -1 s"),
-        ({"unit": 1.2}, "unit = 1.2 s: 10 s have no room .* 1 input .*: 1.16 s at most, or leave"),
+        (
+            {"unit": 1.2},
+            "unit = 1.2 s: 10 s have no room .* 1 input .*: use 1.16 s at most, or leave",
+        ),
         ({"rest": -1.0}, "rest = -1: expected"),
         ({"draws": -1}, "draws = -1: expected"),
         ({"iterations": -3}, "iterations = -3: expected"),
