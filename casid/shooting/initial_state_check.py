@@ -7,10 +7,9 @@ alone would have it, by a Gauss-Newton step, at
 
     x = m − g (σ² + 1/F),   of variance 1/F, as the stated m is of σ²;
 
-the test of `casid.shooting.priors.warn_contradicted`, without its difference of nearly equal
-numbers. Residuals correlated in time make another variance of x: gusts over the first seconds are
-no other initial state. Of several that are contradicted the worst is left out before the others,
-which it may have pulled away, are asked.
+which is `casid.shooting.priors.warn_contradicted` without a difference of nearly equal numbers.
+Residuals correlated in time make another variance of x: gusts over the first seconds are no other
+initial state. Of several that are contradicted the worst is left out before the others are asked.
 """
 
 from collections.abc import Callable, Iterator

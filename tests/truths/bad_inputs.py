@@ -343,7 +343,7 @@ bad(
     "a chance of one and a half",
     study("[match]\n", "[sufficiency]\nlevel = 1.5\n[match]\n"),
     "[sufficiency]",
-    "level=1.5: expected a chance",
+    "level=1.5: expected the chance of a false alarm",
 )
 bad(
     "a band backwards",
