@@ -2,15 +2,16 @@
 
     min_λ  ½ Σ w ( |E|²/Φ + log Φ )                         over all lines, outputs and records
 
-with E of `casid.shooting.spectral` and Φ of `casid.shooting.spectrum`, held in each solve and
-estimated from its residuals before the next, until the estimates rest. Klein and Morelli (2006),
-section 7.3, on the lines of whole records and with their transients; Pintelon and Schoukens, System
+with E of `casid.shooting.spectral`, less what noise leaves there of what was before the record
+(`casid.shooting.outside`), and Φ of `casid.shooting.spectrum`, held in each solve and estimated
+from its residuals before the next, until the estimates rest. Klein and Morelli (2006), section 7.3,
+on the lines of whole records and with their transients; Pintelon and Schoukens, System
 Identification (2012), chapters 9 and 10. IPOPT sees λ alone: gradient and Gauss-Newton Hessian are
 those of the cost with the transients eliminated.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -21,6 +22,7 @@ from casid.free import Free
 from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.anderson_acceleration import Secants
 from casid.shooting.lines import Lines
+from casid.shooting.outside import Outside, directions, on_lines
 from casid.shooting.spectral import Residual, SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 
@@ -76,6 +78,7 @@ class SpectralProgramme:
         self.weights = [
             each.weight[:, None] / power for each, power in zip(lines, self.powers, strict=True)
         ]
+        self.outside = _outside(spectra, lines)
         self.n = measurements(lines)
         self._last: tuple[bytes, State | None] = b"", None
 
@@ -88,7 +91,7 @@ class SpectralProgramme:
 
     def _state(self, lam: Array) -> State | None:
         try:
-            found = self.residuals(lam, self.weights)
+            found = self.residuals(lam, self.weights, self.outside)
         except np.linalg.LinAlgError:
             return None
         off, pull = self.residuals.free.prior_residuals(lam)
@@ -171,6 +174,24 @@ class SpectralProgramme:
         other = SpectralProgramme(residuals, self.spectra, self.scales)
         other._last = self._last
         return other
+
+
+def _outside(spectra: tuple[NoiseSpectrum, ...], lines: list[Lines]) -> list[Outside]:
+    """What noise of the spectra may leave on every record's lines of what was before it."""
+    longest: dict[int, int] = {}
+    for each in lines:
+        longest[each.kind] = max(longest.get(each.kind, 0), each.record.N)
+    return [
+        on_lines(each, _directions(spectra[each.kind], each.dt, longest[each.kind]))
+        for each in lines
+    ]
+
+
+@lru_cache(maxsize=16)
+def _directions(spectrum: NoiseSpectrum, dt: float, N: int) -> tuple[Array, ...]:
+    """In time, of every output, of records of at most N samples."""
+    columns = np.where(np.isfinite(spectrum.power), spectrum.power, 1.0).T
+    return tuple(directions(spectrum.omega, column, dt, N) for column in columns)
 
 
 def measurements(lines: list[Lines]) -> float:

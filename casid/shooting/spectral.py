@@ -8,7 +8,8 @@ over the step after sample n (`casid.intersample`), x_{n+1} = A_d x_n + f_n beco
 exactly, whether the model is stable or not and wherever the record begins and ends. The forcing is
 linear in the signals of `casid.shooting.lines`: [X; F's signals] times one matrix whose derivatives
 by λ come from `casid.intersample.integral_slopes`. What begins and ends, x_0 − x_N of every record,
-enters linearly and is eliminated (variable projection: Golub and Pereyra 1973).
+enters linearly and is eliminated (variable projection: Golub and Pereyra 1973); so is what noise
+does that was under way before (`casid.shooting.outside`), which has a variance.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,6 +25,7 @@ from casid.free import Free
 from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slopes
 from casid.shooting.delayed_inputs import LATE
 from casid.shooting.lines import Lines, held_lines
+from casid.shooting.outside import DOUBTED, Outside
 
 PORTION = 200  # lines whose derivatives are held at once, in the processor's cache
 RANK = 1e-13  # eigenvalue of the transient's information, to unit diagonal, that counts as zero
@@ -38,10 +40,10 @@ class _Factors:
     weight: Array  # (K, ny) of what acts at once
     states_lam: Array  # (nz, nx nf) what follows from Z, by λ
     outputs_lam: Array  # (nz, ny, nf) what acts at once, by λ
-    beside: Array  # (K, 2, ny, nx + 1) derivatives by d times a root of its covariance; residuals
+    beside: Array  # (K, 2, ny, m + 1) derivatives by d times a root of its covariance; residuals
 
     def portions(self) -> Iterator[tuple[slice, Array]]:
-        """One portion of the lines after the other, rows (k, 2, ny, nf + nx + 1): by λ, beside."""
+        """One portion of the lines after the other, rows (k, 2, ny, nf + m + 1): by λ, beside."""
         (K, _, ny, _), n, nz = self.beside.shape, self.outputs_lam.shape[2], len(self.states_lam)
         direct = np.flatnonzero(self.outputs_lam.any(axis=(0, 2)))
         for at in (slice(k, k + PORTION) for k in range(0, K, PORTION)):
@@ -60,12 +62,12 @@ class _Factors:
 class Residual:
     """Weighed residuals of one record's lines and their normal equations, transient eliminated.
 
-    The transient d = x_0 − x_N minimises the sum of squares.
+    The transient d (m,), x_0 − x_N and noise from outside, minimises the sum of squares.
     """
 
     E: ComplexArray  # (K, ny) measured less the model, 0 where not measured
     factors: _Factors
-    follow: Array  # (nx, nf) what of the derivatives by d, orthonormal, is in those by λ
+    follow: Array  # (m, nf) what of the derivatives by d, orthonormal, is in those by λ
     cost: float  # half the weighed sum of squares
     F: Array  # (nf, nf) information
     g: Array  # (nf,) gradient of the cost
@@ -92,7 +94,10 @@ class Residual:
 
     @property
     def ends(self) -> Array:
-        """Weighed derivative of the model by d, orthonormal columns, (K, 2, ny, nx)."""
+        """Weighed derivative of the model by d, orthonormal columns, (K, 2, ny, m).
+
+        Those of noise from outside are shorter, as far as their variance holds them.
+        """
         return self.factors.beside[..., :-1]
 
 
@@ -108,17 +113,20 @@ class SpectralResiduals:
         other.lines = [each.below(omega) for each in self.lines]
         return other
 
-    def __call__(self, lam: Array, weights: Sequence[Array]) -> list[Residual]:
+    def __call__(
+        self, lam: Array, weights: Sequence[Array], outside: Sequence[Outside] = ()
+    ) -> list[Residual]:
         """Of every record at free values (nf,), weighed by its (K, ny) of them.
 
-        LinAlgError for a pole on a line.
+        With what noise from outside each may hold. LinAlgError for a pole on a line.
         """
         m = self.matrices(lam)
         direct = _direct(m)
         driven: dict[tuple[float, ...], tuple[Array, Array]] = {}
         resolvents: dict[tuple[float, ...], ComplexArray] = {}
         found = []
-        for lines, weight in zip(self.lines, weights, strict=True):
+        noise: Sequence[Outside | None] = outside or [None] * len(self.lines)
+        for lines, weight, beyond in zip(self.lines, weights, noise, strict=True):
             order, h, N = ORDER[lines.record.hold], lines.dt, lines.record.N
             S, rest = held_lines(self._held(lines, m), N, len(lines.z))
             key, at = (order, h, *np.round(rest, 12)), (h, N, len(lines.z))
@@ -126,7 +134,8 @@ class SpectralResiduals:
                 driven[key] = _driven(m, h, rest, order)
             if at not in resolvents:
                 resolvents[at] = _resolvent(lines.z, driven[key][0][:, : m.nx])
-            found.append(_residual(lines, weight, S, m, driven[key], direct, resolvents[at]))
+            ends = _Ends(lines, np.sqrt(weight * lines.seen), m.blocks[2], resolvents[at], beyond)
+            found.append(_residual(ends, S, m.nx, driven[key], direct))
         return found
 
     def _held(self, lines: Lines, m: Matrices) -> DelayedInput:
@@ -146,31 +155,71 @@ def _resolvent(z: ComplexArray, A_d: Array) -> ComplexArray:
     return np.asarray(R)
 
 
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """What the ends of one record leave on its lines."""
+
+    lines: Lines
+    weight: Array  # (K, ny) root of the lines' weights
+    C: Array
+    R: ComplexArray  # (K, nx, nx) resolvent
+    noise: Outside | None
+
+    @cached_property
+    def felt(self) -> ComplexArray:
+        """Outputs by the states that follow, weighed, (K, ny, nx)."""
+        return np.asarray(self.weight[:, :, None] * (self.C @ self.R))
+
+    @cached_property
+    def end(self) -> ComplexArray:
+        """What one of a state's transient drives, (K,)."""
+        return np.asarray(self.lines.z / np.sqrt(self.lines.record.N))
+
+    def columns(self) -> tuple[ComplexArray, Array]:
+        """Weighed outputs by the transient d (K, ny, m), and 1/variance (m,) of what is known."""
+        own = self.felt * self.end[:, None, None]
+        if self.noise is None or not self.noise.output:
+            return own, np.zeros(own.shape[2])
+        at, (K, ny, nx) = list(self.noise.output), own.shape
+        columns = np.zeros((K, ny, nx + len(at)), dtype=complex)
+        columns[:, :, :nx] = own
+        columns[:, at, nx + np.arange(len(at))] = self.noise.columns * self.weight[:, at]
+        return columns, np.repeat([0.0, 1 / DOUBTED], [nx, len(at)])
+
+    def left(self, d: Array) -> tuple[ComplexArray, ComplexArray]:
+        """States (K, nx) and outputs (K, ny) of a transient."""
+        nx = self.C.shape[1]
+        begun = (self.R @ d[:nx]) * self.end[:, None]
+        out = begun @ self.C.T
+        if self.noise is not None:
+            for i, column, size in zip(
+                self.noise.output, self.noise.columns.T, d[nx:], strict=True
+            ):
+                out[:, i] += column * size
+        return begun, out
+
+
 def _residual(
-    lines: Lines,
-    weight: Array,
+    ends: _Ends,
     S: ComplexArray,
-    m: Matrices,
+    nx: int,
     driven: tuple[Array, Array],
     straight: tuple[Array, Array],
-    R: ComplexArray,
 ) -> Residual:
     """Residuals of one record from the signals S (K, 3 nu) that drive it."""
     (drive, drive_lam), (direct, direct_lam) = driven, straight
-    nx, C = m.nx, m.blocks[2]
-    W = np.sqrt(weight * lines.seen)
-    end = lines.z / np.sqrt(lines.record.N)
-    Z = np.hstack([(R @ (S @ drive[:, nx:].T)[:, :, None])[:, :, 0], S])
+    lines, W = ends.lines, ends.weight
+    Z = np.hstack([(ends.R @ (S @ drive[:, nx:].T)[:, :, None])[:, :, 0], S])
     E = (lines.Y - Z @ direct.T) * lines.seen
-    felt = W[:, :, None] * (C @ R)  # by the states that follow
-    T = halves(felt * end[:, None, None])
-    d, root = _transient(T, halves(W * E))
-    begun = (R @ d) * end[:, None]
+    columns, known = ends.columns()
+    T = halves(columns)
+    d, root = _transient(T, halves(W * E), known)
+    begun, out = ends.left(d)
     Z[:, :nx] += begun
-    E -= (begun @ C.T) * lines.seen
+    E -= out * lines.seen
     beside = np.concatenate([T @ root, halves(W * E)[..., None]], axis=3)
-    factors = _Factors(halves(Z), as_real(felt), W, drive_lam, direct_lam, beside)
-    return _eliminated(E, factors)
+    factors = _Factors(halves(Z), as_real(ends.felt), W, drive_lam, direct_lam, beside)
+    return _eliminated(E, factors, root.T @ (known * d), float(known @ d**2) / 2)
 
 
 def halves(x: ComplexArray) -> Array:
@@ -186,10 +235,13 @@ def as_real(x: ComplexArray) -> Array:
     return out.reshape(len(x), 2 * x.shape[1], -1)
 
 
-def _transient(T: Array, E: Array) -> tuple[Array, Array]:
-    """The transient (nx,) that fits residuals (K, 2, ny) best, and a root of its covariance."""
+def _transient(T: Array, E: Array, known: Array) -> tuple[Array, Array]:
+    """The transient (m,) that fits residuals (K, 2, ny) best, and a root of its covariance.
+
+    Of which zeros are ``known`` with (m,) 1/variance.
+    """
     flat = T.reshape(-1, T.shape[-1])
-    G = flat.T @ flat
+    G = flat.T @ flat + np.diag(known)
     unit = 1 / np.sqrt(np.maximum(np.diag(G), 1e-300))
     values, vectors = np.linalg.eigh(G * np.outer(unit, unit))
     kept = values > RANK * max(float(values.max()), 1e-300)
@@ -197,15 +249,18 @@ def _transient(T: Array, E: Array) -> tuple[Array, Array]:
     return root @ (root.T @ (flat.T @ E.ravel())), root
 
 
-def _eliminated(E: ComplexArray, factors: _Factors) -> Residual:
-    """Normal equations, summed over portions of the lines."""
+def _eliminated(E: ComplexArray, factors: _Factors, pull: Array, cost: float) -> Residual:
+    """Normal equations, summed over portions of the lines.
+
+    ``pull`` (m,) is the slope by the transient, and ``cost`` its own, of what is known of it.
+    """
     n = factors.outputs_lam.shape[2]
     flat = (rows.reshape(-1, rows.shape[3]) for _, rows in factors.portions())
     G = np.sum([rows.T @ rows for rows in flat], axis=0)
     follow = G[n:-1, :n]
     return Residual(
-        E=E, factors=factors, follow=follow, cost=float(G[-1, -1]) / 2,
-        F=G[:n, :n] - follow.T @ follow, g=follow.T @ G[n:-1, -1] - G[:n, -1],
+        E=E, factors=factors, follow=follow, cost=float(G[-1, -1]) / 2 + cost,
+        F=G[:n, :n] - follow.T @ follow, g=follow.T @ (G[n:-1, -1] - pull) - G[:n, -1],
         alone=np.diag(G)[:n],
     )  # fmt: skip
 
