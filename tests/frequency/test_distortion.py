@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from casid import Record, distortion, frequency_response
+from casid import FrequencyResponse, Record, distortion, frequency_response
+from casid.frequency.distortion import TOGETHER, _difference
 
 OMEGA = np.geomspace(1.0, 12.0, 20)
 DT = 0.04
@@ -67,6 +68,39 @@ def test_damping_that_grows_with_rate_is_told_from_noise_and_sized():
         shares.append(np.median(told.distortion[low], axis=0) / np.median(away[low], axis=0))
         assert np.median(told.noise[low] / away[low]) < 0.3
     np.testing.assert_allclose(np.median(shares, axis=0), 1.0, rtol=0.15)
+
+
+@pytest.mark.slow
+def test_a_gain_that_changes_by_less_than_any_point_shows_is_told():
+    # Damping that grows by 0.12 |p|: alike over a band, by some seven of its standard errors.
+    for seed in (1, 2, 3):
+        told = distortion(flown([seed, 41], 0.12, (0.03, 0.06), noise=0.002), omega=OMEGA)
+        assert np.nanmax(told.excess) < 3.5
+        assert told.nonlinear
+        none = distortion(flown([seed, 41], 0.0, (0.03, 0.06), noise=0.002), omega=OMEGA)
+        assert not none.nonlinear
+        assert "hides changes of a response's gain of less than" in none.sentence()
+
+
+def test_a_gain_and_its_error_are_those_of_a_weighed_mean():
+    # Independent points of one pair, of one relative error: the mean of their ratios.
+    K, error, rng = 12, 0.05, np.random.default_rng(3)
+    noise = error * (rng.standard_normal((2, K, 1, 1)) + 1j * rng.standard_normal((2, K, 1, 1)))
+    omega, flat = np.geomspace(1, 8, K), np.ones((K, 1, 1))
+    low, high = (
+        FrequencyResponse(
+            omega=omega, G=gain * flat + each, coherence=0.99 * flat, random_error=error * flat,
+            inputs=("u",), outputs=("y",), input_std=np.ones(1), output_std=np.ones(1),
+        )
+        for gain, each in zip((1.0, 1.3), noise, strict=True)
+    )  # fmt: skip
+    _, _, together, least = _difference(low, high, np.ones((K, 1, 1), dtype=bool))
+    mean, apart = (low.G + high.G) / 2, high.G - low.G
+    std = error * np.sqrt(np.abs(low.G) ** 2 + np.abs(high.G) ** 2)
+    size = np.sqrt(np.sum(np.abs(mean / std) ** 2))
+    expected = np.abs(np.sum(mean.conj() * apart / std**2) / size) ** 2 / 2
+    assert together[0, 0] == pytest.approx(expected, rel=0.3)  # rest of twelve may count more
+    assert least[0, 0] == pytest.approx(np.sqrt(2 * TOGETHER) / size, rel=0.3)
 
 
 def test_one_amplitude_is_refused_by_the_name_of_the_manoeuvre():
