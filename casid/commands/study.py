@@ -18,8 +18,8 @@ from rich.text import Text
 
 from casid.bounds.compare import BoundsComparison
 from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
+from casid.commands.remarks import idle, unpredicted
 from casid.commands.terminal import BAD_INPUT, caution, exits, logged, new_table
-from casid.display import listed
 from casid.errors import DataWarning
 from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
@@ -32,7 +32,6 @@ from casid.report.content import Timing
 from casid.report.words import brief, prior
 from casid.slow_sources import repeats_told
 from casid.stages.listing import STAGES, stages_in_words, tables_of_stages
-from casid.stages.qualification import Bands
 from casid.structure.identifiability import identifiability
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
@@ -319,31 +318,19 @@ def _in_order(console: Console, study: Study) -> bool:
     rest = {d: each for each in every if (d := digest(each.u, each.y)) not in own}
     units = units_told(list(rest.values()))  # of the others it is a warning
     twins = twins_told(estimated)
-    for said in (*again.told(), *twins, *steps, *units, *unread, *untold, *_idle(study)):
+    far = () if again.told() else unpredicted(study, flights.get("validation", ()))
+    useless = idle(study, flights)
+    for said in (*again.told(), *twins, *steps, *units, *unread, *untold, *far, *useless):
         caution(console, said)
     held = repeats_told([*estimated, *rest.values()], study.channels.outputs)  # a warning, too
     if again.told() or twins or unread or units or units_told(estimated) or held:
         console.print("Mend the records first.")
         return False
+    if far and not untold:
+        console.print("Mend the horizon first.")
+        return False
     console.print("Mend the structure first." if untold else "The study is in order.")
     return not untold
-
-
-def _idle(study: Study) -> tuple[str, ...]:
-    """That the study has noise which no record gets, or tolerances of no output."""
-    said = []
-    if study.noise is not None and not any(each.noise for each in study.roles.values()):
-        said.append(
-            "[noise] is added to no record, and only casid design reads it: write noise = true "
-            "in the [records.ROLE] of simulated records that need it."
-        )
-    tolerances = study.settings.get("qualification", Bands()).tolerances
-    if none := [name for name in tolerances if name not in study.channels.outputs]:
-        said.append(
-            f"[qualification.tolerances] {listed(none)} judge{'s' * (len(none) == 1)} nothing: "
-            f"outputs are {', '.join(study.channels.outputs)}."
-        )
-    return tuple(said)
 
 
 def _unread(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:
