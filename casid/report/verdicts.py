@@ -9,13 +9,17 @@ from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
 from casid.report.evidence import COLOURED, WORSE, fed_back, noise_levels, residual_levels
-from casid.validation import Validation, measures
+from casid.unexplained import unexplained
+from casid.validation import Validation, judged_samples, measures
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
-# or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
+# or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated. Once a trim
+# is out, an output's offset from it counts as what is simulated, though a constant of the record
+# makes it: what moves about its means by no more than the error is predicted poorly all the same.
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
 UNJUDGED = "not judged"
+FLAT = "no better than by a constant of each record"
 RUNS_AWAY = "the simulation of the model diverges"
 NAMED = 12  # names in a warning before it says how many more
 
@@ -35,11 +39,13 @@ class Verdict:
     black_box: float = np.nan  # Theil's coefficient of the black box
     advantage: float = 1.0  # RMS error over that of the black box, or the noise if that is more
     fed_back: bool = False  # whether the black box predicts it as the controller's inverse
+    flat: bool = False  # whether constants of the records would predict it as well
 
     @property
     def word(self) -> str:
         """The verdict in a word; no model predicts what hardly moves beyond its noise."""
         said = word(self.theil)
+        said = "poor" if self.flat and said != UNJUDGED else said
         return UNJUDGED if said == "poor" and self.noisy else said
 
     @property
@@ -67,6 +73,8 @@ class Verdict:
             return RUNS_AWAY
         if self.noisy:
             return "hardly more than its noise"
+        if self.flat:
+            return FLAT
         if self.fed_back and self.advantage > WORSE:
             return "the black box knows the controller"
         return f"the black box is {self.times} better" * self.structural
@@ -87,7 +95,8 @@ class Verdict:
                 f"that of the noise (Theil's coefficient {self.theil:.2f}); add a record that "
                 "moves it."
             )
-        told = f": {RUNS_AWAY}." if np.isinf(self.rms) else "."
+        why = RUNS_AWAY if np.isinf(self.rms) else FLAT * self.flat
+        told = f": {why}." if why else "."
         return f"{output} is predicted poorly (Theil's coefficient {self.theil:.2f}){told}"
 
 
@@ -100,6 +109,9 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     residual = residual_levels(estimate)
     noise, back = noise_levels(validation.measured).tolist(), fed_back(content)
     other = BLACK_BOX if BLACK_BOX in validation.models else name
+    asked = judged_samples(validation.measured, validation.begins, validation.known[name])
+    pairs = zip(validation.measured, asked, strict=True)
+    y = [np.where(there, record.y, np.nan) for record, there in pairs]
     found = []
     for i, output in enumerate(validation.outputs):
         rms, fit, theil = measures(validation, name, i)
@@ -118,6 +130,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
             black_box=black_box,
             advantage=float(rms / floor) if 0 < floor < np.inf else 1.0,
             fed_back=output in back,
+            flat=bool(unexplained([output], [each[:, [i]] for each in y], np.array([rms**2]))),
         )
         found.append(verdict)
     return tuple(found)

@@ -47,6 +47,30 @@ def test_what_hardly_moves_beyond_its_noise_is_not_called_poor(rms, theil, said)
     assert ("does worst on q" in told) == (said in ("poor", "fair"))
 
 
+def test_what_constants_predict_as_well_is_poor_however_far_from_the_trim():
+    figures = {"fit": 1.0, "noise": 0.1, "residual": 1.0, "records": (0.2,), "theil": 0.2}
+    found = Verdict(output="phi", unit="rad", rms=1.0, flat=True, **figures)
+    assert (found.word, found.reason) == ("poor", "no better than by a constant of each record")
+    assert found.caution.endswith(f"poorly (Theil's coefficient 0.20): {found.reason}.")
+    assert Verdict(output="phi", unit="rad", rms=1.0, **figures).word == "fair"
+
+
+@pytest.mark.slow
+def test_an_offset_from_the_trim_is_nothing_that_a_model_explains(content):
+    validation, words = content.results["validation"], []
+    (record,) = validation.measured
+    away = record.y - record.y.mean(axis=0) + 2 * record.y.std(axis=0)
+    flown = dataclasses.replace(record, y=away, trim=dict.fromkeys(record.outputs, 0.0))
+    still = np.broadcast_to(away.mean(axis=0), away.shape)
+    for share in (0.0, 1.0):  # of its motion that a model has
+        simulated = dict.fromkeys(validation.models, (still + 0.97 * share * (away - still),))
+        found = dataclasses.replace(validation, measured=(flown,), simulated=simulated)
+        judged = verdicts(found, content)
+        words.append([each.word for each in judged])
+        assert all(each.theil < 0.3 for each in judged)  # 1 / (2 + √5) without
+    assert words == [["poor", "poor"], ["good", "good"]]
+
+
 @pytest.mark.slow
 def test_the_summary_warns_of_bounds_and_signs(content):
     fit = content.results["output_error"]
