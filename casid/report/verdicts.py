@@ -9,7 +9,7 @@ from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
 from casid.report.evidence import COLOURED, WORSE, fed_back, noise_levels, residual_levels
-from casid.unexplained import unexplained
+from casid.unexplained_variance import unexplained
 from casid.validation import Validation, judged_samples, measures
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25

@@ -3,8 +3,8 @@
     min_λ  ½ Σ w ( |E|²/Φ + log Φ )                         over all lines, outputs and records
 
 with E of `casid.shooting.spectral`, less what noise leaves there of what was before the record
-(`casid.shooting.outside`), and Φ of `casid.shooting.spectrum`, held in each solve and estimated
-from its residuals before the next, until the estimates rest. Klein and Morelli (2006), section 7.3,
+(`casid.shooting.noise_transients`), and Φ of `casid.shooting.spectrum`, held in each solve and
+estimated from its residuals before the next, until the estimates rest. Klein and Morelli (2006), section 7.3,
 on the lines of whole records and with their transients; Pintelon and Schoukens, System
 Identification (2012), chapters 9 and 10. IPOPT sees λ alone: gradient and Gauss-Newton Hessian are
 those of the cost with the transients eliminated.
@@ -22,7 +22,7 @@ from casid.free import Free
 from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.anderson_acceleration import Secants
 from casid.shooting.lines import Lines
-from casid.shooting.outside import Outside, directions, on_lines
+from casid.shooting.noise_transients import Outside, directions, on_lines
 from casid.shooting.spectral import Residual, SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 

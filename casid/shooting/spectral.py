@@ -9,7 +9,7 @@ exactly, whether the model is stable or not and wherever the record begins and e
 linear in the signals of `casid.shooting.lines`: [X; F's signals] times one matrix whose derivatives
 by λ come from `casid.intersample.integral_slopes`. What begins and ends, x_0 − x_N of every record,
 enters linearly and is eliminated (variable projection: Golub and Pereyra 1973); so is what noise
-does that was under way before (`casid.shooting.outside`), which has a variance.
+does that was under way before (`casid.shooting.noise_transients`), which has a variance.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ from casid.free import Free
 from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slopes
 from casid.shooting.delayed_inputs import LATE
 from casid.shooting.lines import Lines, held_lines
-from casid.shooting.outside import DOUBTED, Outside
+from casid.shooting.noise_transients import DOUBTED, Outside
 
 PORTION = 200  # lines whose derivatives are held at once, in the processor's cache
 RANK = 1e-13  # eigenvalue of the transient's information, to unit diagonal, that counts as zero

@@ -1,10 +1,8 @@
 """What a check says of settings that do nothing, or that no record is long enough for."""
 
-import pytest
 from click.testing import CliRunner
 from truths.roll_study import write_study
 
-from casid import Derivid
 from casid.cli import main
 from casid.studies.study import read_flights
 from casid.studies.studyfile import read_study
@@ -41,9 +39,3 @@ def test_check_refuses_horizons_that_leave_no_past(tmp_path):
         said, code = checked(tmp_path, f"[validation]\nhorizon = {horizon}")
         assert "horizon" not in said
         assert code == 0
-
-
-@pytest.mark.parametrize("given", [{"starts": 0}, {"n_omega": 1}, {"coherence": 1.0}])
-def test_counts_of_a_classical_fit_are_refused_where_they_are_read(given):
-    with pytest.raises(ValueError, match="expected at least 1, at least 2 and a coherence"):
-        Derivid(**given)

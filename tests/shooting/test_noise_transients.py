@@ -11,7 +11,7 @@ from truths.closed_roll import NOISE, TRUTH, campaign, flown
 from casid import Record, output_error
 from casid.free import free_parameters
 from casid.shooting.lines import transformed
-from casid.shooting.outside import DIFFERENCE, LEAST, Outside, directions, on_lines
+from casid.shooting.noise_transients import DIFFERENCE, LEAST, Outside, directions, on_lines
 from casid.shooting.spectral import SpectralResiduals
 
 DT, N = 0.05, 400
