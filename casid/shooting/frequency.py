@@ -4,8 +4,8 @@
 
 with E of `casid.shooting.spectral`, less what noise leaves there of what was before the record
 (`casid.shooting.noise_transients`), and Φ of `casid.shooting.spectrum`, held in each solve and
-estimated from its residuals before the next, until the estimates rest. Klein and Morelli (2006), section 7.3,
-on the lines of whole records and with their transients; Pintelon and Schoukens, System
+estimated from its residuals before the next, until the estimates rest. Klein and Morelli (2006),
+section 7.3, on the lines of whole records and with their transients; Pintelon and Schoukens, System
 Identification (2012), chapters 9 and 10. IPOPT sees λ alone: gradient and Gauss-Newton Hessian are
 those of the cost with the transients eliminated.
 """
