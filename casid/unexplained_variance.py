@@ -49,8 +49,8 @@ def told(names: Sequence[str]) -> str:
     return (
         f"nothing of {listed(names, 4)} is explained in the records of the fit: the residuals are "
         "not noise, and hardly smaller than deviations from the mean. The search may have ended "
-        "far from the most likely parameters, the output may have another sign, unit or clock in the "
-        "records than in the structure (kinematic_check may tell), or the structure lacks what "
+        "far from the most likely parameters, the output may have another sign, unit or clock in "
+        "the records than in the structure (kinematic_check may tell), or the structure lacks what "
         "moves it"
     )
 
