@@ -18,9 +18,10 @@ from casid.display import listed
 from casid.errors import warn
 from casid.record import Record
 from casid.shooting import uncertainty
-from casid.shooting.delays import on_breaks
 from casid.shooting.hausman import APART, MOST, Source
-from casid.shooting.outlying_records import SELDOM, Discord, Records, discord
+from casid.shooting.amplitudes import end
+from casid.shooting.delays import on_breaks
+from casid.shooting.outlying_records import Discord, Records, discord
 from casid.shooting.precision import held, information, slopes
 from casid.shooting.programme import Programme
 from casid.shooting.scores import ProcessScores, summed
@@ -28,8 +29,7 @@ from casid.shooting.whiteness import whitened
 
 FAR = 2.0  # errors by noise alone that an estimate moves without the record: that is told
 MORE = 2.0  # times the variance of scores that residuals show which are not white
-ALIKE = 0.9  # cosine of the inputs' sizes in two records that move them alike
-RATIO, SAME = 1.2, 1.05  # of two amplitudes that differ, of those that do not
+WIDER = 1.2  # times the errors by noise that are stated: that is told
 
 OPPOSED = "output error: records contradict each other"  # how what is told of it begins
 
@@ -59,13 +59,16 @@ def warn_of_contradiction(programme: Programme, x: Array) -> None:
 
 
 def tell(found: Discord, flown: Sequence[Record], of: Sequence[str]) -> None:
-    """Tell of records that contradict the others, if that moves what is estimated ``of`` them."""
+    """Tell of records that contradict the others, if that moves what is estimated ``of`` them.
+
+    Or if their scatter is in the errors stated.
+    """
     # Of scattered records standard errors may be so large that they hide the one at fault.
     off, unit = found.off, np.where(found.noise > 0, found.noise, np.inf)
     moves = np.where(np.abs(off.apart) > APART, off.step / unit, 0.0)
-    if np.abs(moves).max() > FAR:
+    if np.abs(moves).max() > FAR or found.wider is not None:
         names = [record.name or f"record {k}" for k, record in enumerate(flown, 1)]
-        warn(_told(found, names, of, moves) + _advice(found, flown, names))
+        warn(_told(found, names, of, moves) + _advice(found, flown, names) + _widened(found, of))
 
 
 def contradiction(P: Array, residuals: Sequence[Array], along: Slopes) -> Discord | None:
@@ -165,11 +168,17 @@ def _sizes(r: Array) -> Array:
 
 def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array) -> str:
     """In words; ``moves`` are of the parameters in standard errors."""
-    blamed, off = [names[i] for i in found.which], found.off
+    blamed, off, n = [names[i] for i in found.which], found.off, len(names)
     far = [k for k in np.argsort(-np.abs(moves))[:MOST] if abs(moves[k]) > FAR]
     moved = listed([f"{of[k]} by {moves[k]:+.2g}" for k in far])
-    if len(names) == 2:
-        who, without = f"{blamed[0]} and {blamed[1]}", f"of {blamed[1]} alone"
+    square, freedom, of_what = off.square, off.freedom, "combinations of parameters"
+    if found.sides is not None:
+        smaller, larger = (listed([names[i] for i in side]) for side in found.sides)
+        who = f"those of the larger inputs, {larger}, and those of the smaller, {smaller}"
+        without, n = f"of {smaller} alone", 1
+    elif len(names) == 2:
+        other = names[1 - found.which[0]]
+        who, without = f"{blamed[0]} and {other}", f"of {other} alone"
     elif found.any is None:
         who = f"{blamed[0]} most, but also the others, whichever few are left out"
         without = f"without {blamed[0]}"
@@ -178,45 +187,48 @@ def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array)
         without = f"without {blamed[0]}"
     else:
         who, without = f"{listed(blamed)} and all others, which agree", f"without {listed(blamed)}"
+    if found.whole is not None:
+        (square, freedom), n, of_what = found.whole, 1, "combinations of parameters of all records"
     return (
-        f"{OPPOSED}: {who} (chi-square of {off.square:.0f} in {off.freedom} combinations of "
-        "parameters, where chance hardly exceeds "
-        f"{chdtri(off.freedom, SELDOM / len(names)):.0f}). Estimates {without} differ, in "
-        f"standard errors from noise alone: {moved}; "
+        f"{OPPOSED}: {who} (chi-square of {square:.0f} in {freedom} {of_what}, "
+        f"where chance hardly exceeds {chdtri(freedom, found.seldom / n):.0f}). "
+        + f"Estimates {without} are elsewhere, in errors that noise alone would make {moved}. "
+        * bool(far)
+    )
+
+
+def _widened(found: Discord, of: Sequence[str]) -> str:
+    """By how much standard errors are those of how records scatter."""
+    if found.wider is None or not found.wider.max(initial=0.0) > WIDER:
+        return ""
+    k = int(np.argmax(found.wider))
+    return (
+        ". Standard errors are no less than records scatter: of "
+        f"{of[k]} {found.wider[k]:.2g} times what noise makes"
     )
 
 
 def _advice(found: Discord, flown: Sequence[Record], names: Sequence[str]) -> str:
     """What to do."""
+    if found.sides is not None:
+        return (
+            "A response that depends on amplitude does so (ask distortion): a linear model holds "
+            "for one of them. Estimate together what was flown alike"
+        )
     if found.any is None:
         return (
-            "standard errors are taken from the scatter between records. A response that depends "
-            "on amplitude (ask distortion) or on flight condition looks the same: estimate "
-            "records that were flown alike together"
+            "A response that depends on amplitude does so (ask distortion), or on flight "
+            "condition: estimate together what was flown alike"
         )
     said = (
-        "standard errors do not know which is right. Check there the offset, unit, sign and gain "
-        "of every channel, and the trim; biases or state_biases allow for constant offsets; "
-        "leave it out and compare"
+        "Standard errors do not know which is right. Check there the offset, unit, sign and gain "
+        "of every channel, and the trim; biases or state_biases free what is constant; leave it "
+        "out and compare"
     )
-    if ends := [(i, end) for i in found.which if (end := _end(flown, i))]:
-        i, end = ends[0]
+    if ends := [(i, way) for i in found.which if (way := end(flown, i))]:
+        i, way = ends[0]
         said += (
-            f". {names[i]} has the {end} inputs: a response that depends on amplitude looks the "
+            f". {names[i]} has the {way} inputs: a response that depends on amplitude does the "
             "same (ask distortion)"
         )
     return said
-
-
-def _end(flown: Sequence[Record], i: int) -> str:
-    """Whether a record has the largest or the smallest inputs of those that move them alike."""
-    sizes = np.array([np.ptp(record.u, axis=0) for record in flown])
-    share = sizes / np.maximum(sizes.max(axis=0), 1e-300)
-    level = np.linalg.norm(share, axis=1)
-    cosine = share @ share[i] / np.maximum(level * level[i], 1e-300)
-    alike = level[cosine > ALIKE]
-    if not len(alike) or alike.max() < RATIO * alike.min():
-        return ""
-    if level[i] * SAME >= alike.max():
-        return "largest"
-    return "smallest" if level[i] <= SAME * alike.min() else ""

@@ -5,8 +5,10 @@ by its information F. The covariance of g is that of noise of the spectra that a
 estimate of each record alone, to first order: those that all leave together may hold the
 contradiction itself.
 They are of records of one kind together, every output of its own size in each. Of few lines they
-are less known: scores count for less by as much as Student's t is wider, and for less still where a
-spectrum is steep.
+are less known: scores count for less by as much as Student's t is wider.
+
+A delay may stay on a break of its likelihood, as samples held make one: slopes of records do not
+balance along it then, and nothing is asked there.
 
 Scores of whole records also tell how estimates scatter from flight to flight, where that is by more
 than noise, as `casid.bounds.robust` has it.
@@ -17,16 +19,17 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import null_space
 from scipy.special import ndtri, stdtrit
 
 from casid.arrays import Array, ComplexArray
-from casid.shooting.hausman import SELDOM as RARELY
 from casid.shooting.hausman import Source
+from casid.shooting.amplitudes import Sides, sides
+from casid.shooting.outlying_records import RARELY, Discord, Records, discord, parted, scattered
+from casid.shooting.lines import Lines
 from casid.shooting.independence import LEVEL as FOLLOWS
 from casid.shooting.independence import followed
-from casid.shooting.lines import Lines
-from casid.shooting.outlying_records import SELDOM, Discord, Records, discord, scattered
-from casid.shooting.scores import NO_SCORES, RecordScores, left_out
+from casid.shooting.scores import RecordScores, left_out
 from casid.shooting.spectral import Residual, as_real
 from casid.shooting.spectrum import (
     NoiseSpectrum,
@@ -38,8 +41,7 @@ from casid.shooting.spectrum import (
 )
 from casid.shooting.uncertainty import coordinates, larger, own_step
 
-COLOURED = 3.0  # rise of a spectrum from which few lines miss its shape and leak into others
-MORE = 2.0  # times the variance of scores where it does
+HELD = 0.01  # standard errors by which an estimate is short of where slopes balance
 FEWEST = 1.0  # degrees of freedom of noise, that count, lest a factor be infinite
 
 
@@ -50,46 +52,48 @@ class Opposed(NamedTuple):
     inverse: Array  # (k, nf) of their root
     noise: Array  # (nf,) errors of the parameters by noise as it is in every record
     left: list[Residual]  # what an estimate of each record alone would leave, to first order
+    sides: Sides | None  # of the inputs' size
+    scores: RecordScores  # of whole records by the free parameters, and their information
+    wider: Array | None = None  # (nf,) times what they were are errors stated, if at all
+
+    @property
+    def scatter(self) -> bool:
+        """Whether they differ by more than noise, one, all together or by their inputs' size."""
+        off = self.records.parted(self.sides)
+        if off is not None and off.chance < RARELY:
+            return True
+        return scattered(self.records, RARELY) is not None
 
     def widened(self, covariance: Array) -> Array:
-        """A covariance (nf, nf) of the estimates, no less than scores of whole records scatter.
-
-        The same where records agree but for noise.
-        """
-        if self.records.worst(RARELY) is None:
-            return covariance
+        """A covariance (nf, nf) of the estimates, no less than scores of whole records scatter."""
         told, root = np.isfinite(covariance), self.records.root
         K = self.inverse @ np.where(told, covariance, 0.0) @ self.inverse.T
         g = np.array([left_out(each.F, 0.5) @ each.g for each in self.records.sources])
         return np.where(told, covariance + root @ (larger(K, g.T @ g) - K) @ root.T, covariance)
 
     def discord(self, lines: Sequence[Lines], spectra: Sequence[NoiseSpectrum]) -> Discord | None:
-        """Which of them contradict the others, if any; none of them, where no few are to blame.
+        """What sets them apart: a few against the others, the size of their inputs, or neither.
 
         Of two, where nothing that their own estimates leave follows the inputs.
         """
-        if self.records.worst() is None:
-            return None
         pairs = zip(lines, self.left, strict=True)
         chances = [each.chance for own, r in pairs for each in followed([own], [r], r.F, spectra)]
-        found = discord(self.records, white=min(chances) > FOLLOWS / len(chances))
-        found = found or scattered(self.records)
-        return found and found._replace(noise=self.noise)
-
-    def scores(self) -> RecordScores:
-        """Of whole records by the free parameters, and their information, if they scatter; none."""
-        if self.records.worst(RARELY) is None:
-            return NO_SCORES
-        g, F, _ = zip(*self.records.sources, strict=True)
-        return np.array(g) @ self.inverse, self.inverse.T @ np.array(F) @ self.inverse
+        few = discord(self.records, white=min(chances) > FOLLOWS / len(chances), seldom=RARELY)
+        found = parted(self.records, self.sides, few) or few or scattered(self.records, RARELY)
+        return found and found._replace(noise=self.noise, seldom=RARELY, wider=self.wider)
 
 
 def opposed(
-    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array], P: Array
+    lines: Sequence[Lines],
+    residuals: Sequence[Residual],
+    powers: Sequence[Array],
+    P: Array,
+    slope: Array | None = None,
 ) -> Opposed:
     """Records at an estimate whose inverse information is P (nf, nf), 0 of what is held.
 
-    ``powers`` (K, ny) are the spectra by which residuals are weighed.
+    ``powers`` (K, ny) are the spectra by which residuals are weighed, ``slope`` (nf,) is that of
+    the whole cost, nothing unless given.
     """
     root, inverse = coordinates(P)
     rows = [np.concatenate([part for _, part in each.moved(root)]) for each in residuals]
@@ -108,13 +112,26 @@ def opposed(
     ]
     scatter = [_quadratic(each, S) for each, S in zip(noise, across, strict=True)]
     wider = _wider(lines, noise, left)
-    more = MORE if _rise(lines, shapes, powers) > COLOURED else 1.0
+    Z = _balanced(root, slope)
     sources = [
-        Source(g, F, more * wider[:, None] * S * wider)
+        Source(Z.T @ g, Z.T @ F @ Z, Z.T @ (wider[:, None] * S * wider) @ Z)
         for (g, F), S in zip(own, scatter, strict=True)
     ]
     errors = np.sqrt(np.diag(root @ np.sum(scatter, axis=0) @ root.T))
-    return Opposed(Records(sources, root), inverse, errors, alone)
+    g, F = (np.array(each) for each in zip(*own, strict=True))
+    scores = g @ inverse, inverse.T @ F @ inverse
+    flown = sides([each.record for each in lines])
+    return Opposed(Records(sources, root @ Z), Z.T @ inverse, errors, alone, flown, scores)
+
+
+def _balanced(root: Array, slope: Array | None) -> Array:
+    """Coordinates (k, m), orthonormal, along which slopes balance."""
+    k = root.shape[1]
+    if slope is None or np.linalg.norm(root.T @ slope) < HELD:
+        return np.eye(k)
+    size = np.linalg.norm(root, axis=1)
+    held = np.abs(slope) * size > HELD / len(size)
+    return np.asarray(null_space(root[held] / size[held, None]))
 
 
 def _alone(
@@ -152,15 +169,6 @@ def _shapes(
     return found
 
 
-def _rise(lines: Sequence[Lines], shapes: Sequence[Array], powers: Sequence[Array]) -> float:
-    """How many times its least power an output's noise rises at most, in any record."""
-    rises = [
-        (shape * power)[:, line.seen]
-        for line, shape, power in zip(lines, shapes, powers, strict=True)
-    ]
-    return max(float(np.max(each.max(axis=0) / each.min(axis=0), initial=1.0)) for each in rises)
-
-
 def _quadratic(rows: Array, S: ComplexArray) -> Array:
     """Covariance (k, k) of the score of a record, by rows (K, 2, ny, k) of unit residuals."""
     k = rows.shape[-1]
@@ -182,5 +190,5 @@ def _wider(lines: Sequence[Lines], rows: Sequence[Array], left: Sequence[Array])
         free += np.einsum("kia,ki->a", c, rest / each.weight[:, None])
     share = free / np.maximum(total, 1e-300)
     freedom = np.maximum(degrees(lines, rows, np.eye(k)) * share, FEWEST)
-    chance = SELDOM / len(lines)
+    chance = RARELY / len(lines)
     return np.asarray(stdtrit(freedom, chance / 2) / ndtri(chance / 2))

@@ -228,11 +228,16 @@ def _between_records(
     free, lines = programme.residuals.free, programme.residuals.lines
     if len(lines) < (3 if free.priors else 2) or free.evidence is not None or not P.any():
         return found, None
-    own = opposed(lines, state.residuals, programme.powers, P)
-    if not free.priors:
-        wider = own.widened(found.covariance)
-        found = replace(found, covariance=wider, records=own.scores())
-    return found, own
+    own = opposed(lines, state.residuals, programme.powers, P, state.g)
+    if not own.scatter:
+        return found, None
+    if free.priors:
+        return found, own
+    covariance = own.widened(found.covariance)
+    before, after = (np.diag(each) for each in (found.covariance, covariance))
+    told = np.isfinite(before) & (before > 0)
+    wider = np.sqrt(np.divide(after, before, out=np.ones_like(before), where=told))
+    return replace(found, covariance=covariance, records=own.scores), own._replace(wider=wider)
 
 
 class _Noise(NamedTuple):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from casid.shooting.hausman import Source
-from casid.shooting.outlying_records import Records, discord, scattered
+from casid.shooting.amplitudes import Sides
+from casid.shooting.outlying_records import RARELY, Records, discord, parted, scattered
 
 NF = 2
 
@@ -87,3 +88,67 @@ def test_of_records_of_which_no_two_agree_the_worst_is_told_and_what_it_moves():
     np.testing.assert_allclose(found.off.step, estimate(J[:4], y[:4]) - estimate(J, y))
     np.testing.assert_allclose(found.noise, np.sqrt(np.diag(made.root @ made.root.T)))
     assert scattered(records(*flown(*[(1, 2)] * 4))) is None
+
+
+def squares(J, y):
+    """Sum of squares that the estimate of some leaves."""
+    best = estimate(J, y)
+    return sum(np.sum((v - j @ best) ** 2) for j, v in zip(J, y, strict=True))
+
+
+def test_heterogeneity_is_what_one_estimate_leaves_beyond_one_of_each():
+    J, y = flown((1, 2), (1, 3), (2, 2), (1, 2))
+    found = records(J, y).heterogeneity()
+    alone = sum(squares([j], [v]) for j, v in zip(J, y, strict=True))
+    assert found.square == pytest.approx(squares(J, y) - alone)
+    assert found.freedom == 6
+    none = records(*flown((1, 2))).heterogeneity()
+    assert none.square == pytest.approx(0, abs=1e-9)
+    assert (none.freedom, none.chance) == (0, 1.0)
+
+
+def test_of_what_a_record_does_not_tell_nothing_is_asked():
+    J, y = flown((1, 2), (1, 2), (1, 2))
+    J[0] = J[0] * [1, 0]
+    y[0] = y[0] - y[0].mean()
+    found = records(J, y).heterogeneity()
+    alone = sum(squares([j], [v]) for j, v in zip(J, y, strict=True))
+    assert found.square == pytest.approx(squares(J, y) - alone)
+    assert found.freedom == 3
+
+
+@pytest.mark.campaign
+def test_heterogeneity_is_of_the_chance_it_says():
+    chances = [records(*flown(*[(1, 2)] * 4, seed=s)).heterogeneity().chance for s in range(2000)]
+    for level in (0.5, 0.1, 0.01):
+        share = np.mean(np.array(chances) < level)
+        assert abs(share - level) < 3 * np.sqrt(level * (1 - level) / 2000)
+
+
+def test_halves_of_the_records_that_contradict_each_other_are_told_by_their_inputs_size():
+    J, y = flown((0.6, 2), (0.6, 2), (1.4, 2), (1.4, 2))
+    made, at = records(J, y), Sides((0, 1), (2, 3))
+    found = parted(made, at, None)
+    assert found.sides == at
+    small = estimate(J[:2], y[:2])
+    np.testing.assert_allclose(found.off.step, small - estimate(J, y))
+    # Records that scatter across sizes are not told by them.
+    assert parted(made, Sides((0, 2), (1, 3)), None) is None
+    assert parted(made, None, None) is None
+
+
+def test_one_record_at_fault_is_told_rather_than_its_side():
+    J, y = flown((1, 2), (1, 2), (1, 2), (3, 2))
+    made = records(J, y)
+    few = discord(made, white=False)
+    assert few.which == (3,)
+    assert parted(made, Sides((0, 1), (2, 3)), few) is None
+
+
+def test_records_that_scatter_a_little_each_are_told_together():
+    J, y = flown(*[(1 + 0.22 * (-1) ** k, 2 + 0.22 * (-1) ** (k // 2)) for k in range(12)], seed=2)
+    made = records(J, y)
+    assert made.worst(RARELY) is None
+    found = scattered(made, RARELY)
+    assert found.whole == made.heterogeneity()
+    assert found.whole.chance < RARELY

@@ -1,0 +1,64 @@
+"""Records by the size of their inputs, among those that move them alike."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.record import Record
+
+ALIKE = 0.9  # cosine of the inputs' sizes in two records that move them alike
+RATIO, SAME = 1.2, 1.05  # of two amplitudes that differ, of those that do not
+
+
+class Sides(NamedTuple):
+    """Records of the smaller and of the larger inputs, by their numbers."""
+
+    smaller: tuple[int, ...]
+    larger: tuple[int, ...]
+
+
+def sides(flown: Sequence[Record]) -> Sides | None:
+    """Records parted by the size of their inputs, those alike by themselves; None of one size.
+
+    Where parts differ most in the mean logarithm of size, squared, by how many each has.
+    """
+    level, cosine = _levels(flown)
+    left, smaller, larger = list(range(len(flown))), [], []
+    while left:
+        mine = sorted((k for k in left if cosine[left[0], k] > ALIKE), key=lambda k: level[k])
+        left = [k for k in left if k not in mine and k != left[0]]
+        if at := _parted(np.array([level[k] for k in mine])):
+            smaller += mine[:at]
+            larger += mine[at:]
+    return Sides((*sorted(smaller),), (*sorted(larger),)) if smaller else None
+
+
+def end(flown: Sequence[Record], i: int) -> str:
+    """Whether a record has the largest or the smallest inputs of those that move them alike."""
+    level, cosine = _levels(flown)
+    alike = level[cosine[i] > ALIKE]
+    if not len(alike) or alike.max() < RATIO * alike.min():
+        return ""
+    if level[i] * SAME >= alike.max():
+        return "largest"
+    return "smallest" if level[i] <= SAME * alike.min() else ""
+
+
+def _levels(flown: Sequence[Record]) -> tuple[Array, Array]:
+    """How large all inputs of every record are together (n,), and how alike two are (n, n)."""
+    sizes = np.array([np.ptp(record.u, axis=0) for record in flown])
+    share = sizes / np.maximum(sizes.max(axis=0), 1e-300)
+    level = np.linalg.norm(share, axis=1)
+    return level, share @ share.T / np.maximum(np.outer(level, level), 1e-300)
+
+
+def _parted(level: Array) -> int:
+    """How many of sizes (n,) that rise are the smaller; 0 if they do not differ."""
+    size, n = np.log(level), len(level)
+    apart = np.array([size[k:].mean() - size[:k].mean() for k in range(1, n)])
+    gap = np.diff(size) > np.log(SAME)
+    told = np.where(gap & (apart > np.log(RATIO)), apart**2, 0.0)
+    told = told * np.arange(1, n) * np.arange(n - 1, 0, -1)  # by how many are on both sides
+    return int(np.argmax(told)) + 1 if told.max(initial=0.0) > 0 else 0
