@@ -93,7 +93,7 @@ class OutputError:
         at some frequencies counts less there. In the frequency domain nothing is shot: no
         ``interval``, no process noise, biases always, R diagonal, records sampled evenly.
         Errors allow for how few lines the spectrum comes from, a `DataWarning` tells where that may
-        not be enough; and for records that differ by more than noise makes them.
+        not be enough; and for records that differ by more than noise makes them, which is told.
     responses : sequence of FrequencyResponse
         Measured responses, or another tool's, that enter the same likelihood in either domain: each
         point by its stated error and bias, correlated with its neighbours as the response states;
