@@ -18,9 +18,9 @@ from casid.display import listed
 from casid.errors import warn
 from casid.record import Record
 from casid.shooting import uncertainty
-from casid.shooting.hausman import APART, MOST, Source
 from casid.shooting.amplitudes import end
 from casid.shooting.delays import on_breaks
+from casid.shooting.hausman import APART, MOST, Source
 from casid.shooting.outlying_records import Discord, Records, discord
 from casid.shooting.precision import held, information, slopes
 from casid.shooting.programme import Programme
@@ -192,7 +192,7 @@ def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array)
     return (
         f"{OPPOSED}: {who} (chi-square of {square:.0f} in {freedom} {of_what}, "
         f"where chance hardly exceeds {chdtri(freedom, found.seldom / n):.0f}). "
-        + f"Estimates {without} are elsewhere, in errors that noise alone would make {moved}. "
+        + f"Estimates {without} differ, in standard errors from noise alone: {moved}. "
         * bool(far)
     )
 
@@ -203,8 +203,8 @@ def _widened(found: Discord, of: Sequence[str]) -> str:
         return ""
     k = int(np.argmax(found.wider))
     return (
-        ". Standard errors are no less than records scatter: of "
-        f"{of[k]} {found.wider[k]:.2g} times what noise makes"
+        ". Standard errors are taken from the scatter between records where that is larger: that "
+        f"of {of[k]} is {found.wider[k]:.2g} times what noise alone makes it"
     )
 
 
@@ -212,23 +212,23 @@ def _advice(found: Discord, flown: Sequence[Record], names: Sequence[str]) -> st
     """What to do."""
     if found.sides is not None:
         return (
-            "A response that depends on amplitude does so (ask distortion): a linear model holds "
-            "for one of them. Estimate together what was flown alike"
+            "The response seems to depend on amplitude (ask distortion): a linear model holds for "
+            "one of them. Estimate together what was flown alike"
         )
     if found.any is None:
         return (
-            "A response that depends on amplitude does so (ask distortion), or on flight "
-            "condition: estimate together what was flown alike"
+            "A response that depends on amplitude (ask distortion) or on flight condition looks "
+            "the same: estimate together what was flown alike"
         )
     said = (
         "Standard errors do not know which is right. Check there the offset, unit, sign and gain "
-        "of every channel, and the trim; biases or state_biases free what is constant; leave it "
-        "out and compare"
+        "of every channel, and the trim; biases or state_biases allow for constant offsets; "
+        "leave it out and compare"
     )
     if ends := [(i, way) for i in found.which if (way := end(flown, i))]:
         i, way = ends[0]
         said += (
-            f". {names[i]} has the {way} inputs: a response that depends on amplitude does the "
+            f". {names[i]} has the {way} inputs: a response that depends on amplitude looks the "
             "same (ask distortion)"
         )
     return said

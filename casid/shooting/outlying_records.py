@@ -23,8 +23,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from casid.arrays import Array
-from casid.shooting.hausman import SAID, Disagreement, Source, disagreement
 from casid.shooting.amplitudes import Sides
+from casid.shooting.hausman import SAID, Disagreement, Source, disagreement
 from casid.shooting.uncertainty import larger
 
 RARELY = 1e-3  # of what widens errors

@@ -23,12 +23,12 @@ from scipy.linalg import null_space
 from scipy.special import ndtri, stdtrit
 
 from casid.arrays import Array, ComplexArray
-from casid.shooting.hausman import Source
 from casid.shooting.amplitudes import Sides, sides
-from casid.shooting.outlying_records import RARELY, Discord, Records, discord, parted, scattered
-from casid.shooting.lines import Lines
+from casid.shooting.hausman import Source
 from casid.shooting.independence import LEVEL as FOLLOWS
 from casid.shooting.independence import followed
+from casid.shooting.lines import Lines
+from casid.shooting.outlying_records import RARELY, Discord, Records, discord, parted, scattered
 from casid.shooting.scores import RecordScores, left_out
 from casid.shooting.spectral import Residual, as_real
 from casid.shooting.spectrum import (

@@ -9,8 +9,8 @@ from scipy.signal import lfilter, lsim
 from truths.structures import Banking
 
 from casid import DataWarning, Record, output_error
-from casid.shooting.hausman import Disagreement, Source
 from casid.shooting.amplitudes import Sides
+from casid.shooting.hausman import Disagreement, Source
 from casid.shooting.homogeneity import OPPOSED, contradiction, tell
 from casid.shooting.outlying_records import Discord, Heterogeneity, Records
 
@@ -183,7 +183,7 @@ def test_by_how_much_errors_are_those_of_scatter_is_told_whatever_an_estimate_mo
     flights = [Record(T, T[:, None], T[:, None], ["u"], ["p"], f"r{k}") for k in range(4)]
     off = Disagreement(100.0, 1, np.array([1.0]), np.array([1.0]))
     found = Discord((2, 3), None, off, np.ones(1), wider=np.array([2.4]))
-    with pytest.warns(DataWarning, match="no less than records scatter: of Lp 2.4 times") as caught:
+    with pytest.warns(DataWarning, match="larger: that of Lp is 2.4 times") as caught:
         tell(found._replace(sides=Sides((0, 1), (2, 3))), flights, ["Lp"])
     assert "larger inputs, r2, r3, and those of the smaller, r0, r1 (" in str(caught[0].message)
     with pytest.warns(DataWarning, match=r"\(chi-square of 80 in 3 combinations .* of all records"):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from casid.shooting.hausman import Source
 from casid.shooting.amplitudes import Sides
+from casid.shooting.hausman import Source
 from casid.shooting.outlying_records import RARELY, Records, discord, parted, scattered
 
 NF = 2
