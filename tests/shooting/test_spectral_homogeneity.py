@@ -147,7 +147,7 @@ def test_a_response_that_depends_on_amplitude_is_told_where_half_are_of_each(col
     ) in said
     assert "Llat by -" in said
     assert "The response seems to depend on amplitude (ask distortion)" in said
-    ratio = float(said.partition("than records scatter: of Llat ")[2].partition(" times")[0])
+    ratio = float(said.partition("larger: that of Llat is ")[2].partition(" times")[0])
     assert 1 < ratio <= 1.05 * fit["Llat"].std_error / fit["Llat"].cramer_rao or colour
     assert told(flown([10.0] * 6, seed=12, colour=colour, sizes=sizes))[1] == []
 
