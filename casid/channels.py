@@ -1,5 +1,6 @@
 """Names of the channels a rotorcraft usually has, and units of measurement."""
 
+import re
 from collections.abc import Collection, Mapping
 
 from casid.checks import check_known
@@ -7,11 +8,13 @@ from casid.checks import check_known
 CONTROLS = ("col", "lat", "lon", "ped")
 RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
 ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
+AIR = ("V", "alpha", "beta")  # airspeed, angles of attack and sideslip: velocities, too
 UNITS = {  # in which a channel of that name is
     **dict.fromkeys(FORCES, "m/s²"),
     **dict.fromkeys(RATES, "rad/s"),
     **dict.fromkeys(ATTITUDES, "rad"),
     **dict.fromkeys(VELOCITIES, "m/s"),
+    **dict(zip(AIR, ("m/s", "rad", "rad"), strict=True)),
     **dict.fromkeys(CONTROLS, "travel"),
 }
 
@@ -27,10 +30,60 @@ MEASURES = {  # SI unit -> what one of each unit is in it; PWM travels 1000 µs,
 }
 PULSES = ("us", "µs")  # of a control: pulses of a servo
 SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
+WORDS = {  # parts of units, in lower case, as they are written beside those that are known
+    **dict.fromkeys(("degree", "degrees", "degs", "°", "degheading"), "deg"),
+    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("msec", "msecs", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("usec", "usecs", "µsec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("nsec", "nsecs", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("hr", "hour", "hours"), "h"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("kilometer", "kilometers", "kilometre", "kilometres"), "km"),
+    **dict.fromkeys(("foot", "feet"), "ft"),
+    **dict.fromkeys(("inch", "inches"), "in"),
+    **dict.fromkeys(("s2", "s²", "s**2", "sec2", "sec^2", "sec²", "sec**2"), "s^2"),
+    **dict.fromkeys(("second2", "second^2", "second²", "second squared"), "s^2"),
+}
+SPELT = {  # whole units, likewise, their parts as above
+    **dict.fromkeys(("kts", "knot", "knots", "nmi/h"), "kt"),
+    **dict.fromkeys(("percent", "per cent", "pct"), "%"),
+    **dict.fromkeys(("kmh", "kph"), "km/h"),
+    "fps": "ft/s",
+    "mps": "m/s",
+    "m/s/s": "m/s^2",
+    "ft/s/s": "ft/s^2",
+    "g's": "g",
+}
+POWER = re.compile(r"[ .*·]?(s|sec|second|h|hr|hour)(?:\^|\*\*)?(?:-([12])|⁻([¹²]))$")  # m s-2
+
+
+def spelt(unit: str) -> str:
+    """A unit as casid writes it, ``"knots"`` kt, ``"Degrees per second"`` deg/s; itself if none."""
+    if unit in SI:
+        return unit
+    plain = " ".join(unit.replace("μ", "µ").split()).lower().replace(" per ", "/")
+    if found := POWER.search(plain):
+        plain = f"{plain[: found.start()]}/{found[1]}{'^2' * ((found[2] or found[3]) in '2²')}"
+    parts = (part.strip() for part in plain.split("/"))
+    joined = "/".join(WORDS.get(part, part) for part in parts)
+    known = SPELT.get(joined, joined)
+    return known if known in SI else unit
+
+
+def in_si(unit: str) -> float | None:
+    """What one of a unit is in SI, however it is spelt; None of one that is not known."""
+    return SI.get(spelt(unit))
+
+
+def measure(unit: str) -> str:
+    """The SI unit of what a known unit measures."""
+    return next(si for si, row in MEASURES.items() if spelt(unit) in row)
 
 
 def factor_of(channel: str, unit: str, *, time: bool = False) -> float:
     """What one of a channel's unit is in SI; ValueError for an unknown unit, or no unit of time."""
+    unit = spelt(unit)
     check_known(f"channel {channel!r}: unknown unit", [unit], SI)
     if time:
         check_known(f"time {channel!r}: no unit of time", [unit], MEASURES["s"])
@@ -39,9 +92,9 @@ def factor_of(channel: str, unit: str, *, time: bool = False) -> float:
 
 def misnamed(channel: str, unit: str) -> str:
     """Why a unit is odd for a channel of that name; empty where it is not."""
-    si = next(si for si, row in MEASURES.items() if unit in row)
+    si, pulses = measure(unit), spelt(unit) in PULSES
     if channel in CONTROLS:
-        odd = (si == "s" and unit not in PULSES) or si == "m"  # inches: guesses are per travel
+        odd = (si == "s" and not pulses) or si == "m"  # inches: guesses are per travel
         usual = "a share of its travel (a factor in [channels.columns]), an angle or pulses"
     else:
         odd, usual = UNITS.get(channel, si) != si, UNITS.get(channel, si)
@@ -51,6 +104,7 @@ def misnamed(channel: str, unit: str) -> str:
 def units_of(stated: Mapping[str, str]) -> dict[str, str]:
     """SI unit by channel, given the units that were stated of columns; a number has its name's."""
     read_as = {unit: si for si, row in MEASURES.items() for unit in row if si != "1"}
+    stated = {k: spelt(u) for k, u in stated.items()}
     stated = {k: u for k, u in stated.items() if k not in CONTROLS or u not in PULSES}
     return UNITS | {name: read_as[unit] for name, unit in stated.items() if unit in read_as}
 

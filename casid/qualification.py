@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray
-from casid.channels import MEASURES, UNITS, factor_of
+from casid.channels import UNITS, factor_of, measure
 from casid.checks import check_known
 from casid.display import Shown, digits_beside_one, listed
 from casid.validation import Validation, judged_samples
@@ -238,7 +238,7 @@ def read_tolerance(output: str, text: str) -> Tolerance:
             'number, "10 % or 2 deg/s"'
         )
     least = float(found[2]) * factor_of(output, found[3])
-    measured = next(si for si, row in MEASURES.items() if found[3] in row)
+    measured = measure(found[3])
     wanted = UNITS.get(output, measured)
     if measured != wanted:
         raise ValueError(

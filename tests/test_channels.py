@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.channels import MEASURES, SI, factor_of, misnamed, own_units, units_of
+from casid.channels import MEASURES, SI, factor_of, in_si, misnamed, own_units, spelt, units_of
 
 
 @pytest.mark.parametrize(
@@ -42,13 +42,46 @@ def test_time_is_in_units_of_time(unit):
 
 
 def test_units_that_a_channel_of_that_name_hardly_has_are_told():
-    for channel, unit in (("p", "deg/s"), ("lat", "deg"), ("lat", "us"), ("beta", "kt")):
+    for channel, unit in (("p", "deg/s"), ("lat", "deg"), ("lat", "us"), ("V", "knots")):
         assert not misnamed(channel, unit)
     assert misnamed("p", "kt") == "p is said to be in kt, where rad/s is usual"
+    assert misnamed("beta", "knots") == "beta is said to be in knots, where rad is usual"
     assert "lat is said to be in ms" in misnamed("lat", "ms")
     assert "lat is said to be in in, where a share of its travel (a fac" in misnamed("lat", "in")
 
 
 def test_units_of_records_are_those_that_names_do_not_say():
-    stated = {"lat": "deg", "ped": "%", "beta": "deg", "p": "deg/s", "t": "ms", "x": "1"}
-    assert own_units(stated, ("lat", "ped", "beta", "p", "x")) == {"lat": "rad", "beta": "rad"}
+    stated = {"lat": "degrees", "ped": "%", "beta": "deg", "h": "feet", "t": "ms", "x": "1"}
+    assert own_units(stated, ("lat", "ped", "beta", "h", "x")) == {"lat": "rad", "h": "m"}
+
+
+ALIKE = {  # what writers of logs, CF conventions and flight-test cards spell, by what it means
+    "kt": ("kts", "KTS", "knots", "Knot"),
+    "deg": ("degrees", "Degree", "°", "DEG"),
+    "rad": ("radians", "Rad"),
+    "%": ("percent", "per cent", "PCT"),
+    "deg/s": ("deg/sec", "°/s", "Degrees per second", "degree s-1", "deg s^-1"),
+    "rad/s": ("radians/second", "rad s⁻¹", "RAD/SEC"),
+    "ft/s": ("feet/s", "ft/sec", "fps", "feet per second"),
+    "m/s": ("m/sec", "metres per second", "m s-1", "M/S"),
+    "km/h": ("kph", "km/hr", "kilometers per hour"),
+    "m/s^2": ("m/s2", "m/s/s", "m s-2", "m/sec²", "meters per second squared"),
+    "ft/s^2": ("feet/sec^2", "ft/s/s"),
+    "g": ("G", "g's"),
+    "ft": ("feet", "Foot"),
+    "ms": ("milliseconds", "msec"),
+}
+
+
+@pytest.mark.parametrize("unit", ALIKE)
+def test_a_unit_is_the_same_however_it_is_spelt(unit):
+    for name in (unit, *ALIKE[unit]):
+        assert spelt(f" {name} " if name != unit else name) == unit
+        assert factor_of("p", name) == SI[unit]
+        assert in_si(name) == SI[unit]
+
+
+@pytest.mark.parametrize("unit", ["mph", "V", "counts", "rpm", "deg/s/s", "", "Gauss", "n/a", "/"])
+def test_what_is_no_known_unit_stays_one(unit):
+    assert spelt(unit) == unit
+    assert in_si(unit) is None

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled, slow
-from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
+from casid.channels import AIR, ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.frequency.sampling import equidistant
 from casid.outlier_detection import FAR, outliers
 from casid.record import Record
@@ -20,8 +20,6 @@ SHORTEST = 20  # samples
 GAPS = 0.2  # share of missing samples above which a channel is left out
 COARSE = 0.03  # rounding, of what a channel moves: more is seen in its scale
 LONGEST = 1.0  # s that a channel is lost within a stretch: nobody knows what it did in more
-
-AIR = ("V", "alpha", "beta")
 
 
 @dataclass(frozen=True, eq=False)

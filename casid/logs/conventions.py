@@ -1,6 +1,6 @@
 """Where logs keep channels of an aircraft, by PX4, ArduPilot or plain name, and in which units."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -10,19 +10,23 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.channels import (
+    AIR,
     ATTITUDES,
     FORCES,
     MEASURES,
     PULSES,
     RATES,
+    SI,
     UNITS,
     VELOCITIES,
     factor_of,
+    in_si,
+    spelt,
 )
 from casid.logs.attitude_columns import attitudes
 from casid.logs.commands import find_inputs
 from casid.logs.sources import Source, bare, moves, moving, source_of
-from casid.logs.topics import SI_OF, SPELT, Log, Topic
+from casid.logs.topics import Log, Topic
 from casid.samples import at_instants
 
 BODY = "body velocity"  # a topic of casid's own
@@ -59,6 +63,10 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {  # first the best: measured, not esti
     },
     **{name: (f"{BODY}.{name}",) for name in VELOCITIES},
 }
+MEASURED = {  # names of what drives nothing, and what each is in
+    **{name: UNITS[name] for name in (*OUTPUTS, *AIR)},
+    **dict.fromkeys(("h", "alt", "altitude", "height"), "m"),
+}
 NED = (  # velocities north, east, down, and the attitude that goes with them
     (("vehicle_local_position", "vx", "vy", "vz"), "vehicle_attitude"),
     (("XKF1[0]", "VN", "VE", "VD"), "ATT"),
@@ -67,13 +75,16 @@ NED = (  # velocities north, east, down, and the attitude that goes with them
 
 
 def find_channels(
-    log: Log, asked: Mapping[str, str] | None = None
+    log: Log,
+    asked: Mapping[str, str] | None = None,
+    own: tuple[Collection[str], Collection[str]] = ((), ()),
 ) -> tuple[dict[str, Source], dict[str, Source]]:
     """Inputs and outputs by name of a log with `derived` topics.
 
     ``asked`` are columns for channels, ``{"lat": "RCOU.C1"}``, a sign before one that runs the
-    other way; names other than those of outputs are inputs, which replace those that would be
-    found. ValueError: a column that is not there.
+    other way. Names of what is measured, ``V`` and ``beta`` too, are outputs, all others inputs,
+    which replace those that would be found; ``own`` inputs and outputs of a structure are what they
+    are there. ValueError: a column that is not there.
     """
     given = {name: source_of(log, place) for name, place in (asked or {}).items()}
     if missing := [name for name, source in given.items() if source is None]:
@@ -82,7 +93,8 @@ def find_channels(
             "one as TOPIC.COLUMN of the topics listed by casid import --list"
         )
     named = {name: source for name, source in given.items() if source is not None}
-    inputs = {name: source for name, source in named.items() if name not in OUTPUTS}
+    measured = {*MEASURED, *own[1]} - {*own[0]}
+    inputs = {name: source for name, source in named.items() if name not in measured}
     driving = {each.place.removeprefix("-") for each in inputs.values()}
     # ArduPilot's RATE.R is the roll rate: what is documented is nothing else by its name.
     other = driving.union(*OUTPUTS.values())
@@ -90,13 +102,14 @@ def find_channels(
     for name, places in OUTPUTS.items():
         tried = (source_of(log, place) for place in places if place not in driving)
         known = (each for each in tried if each is not None and moves(each))
-        own = (each for each in moving(log, partial(_bears, name)) if each.place not in other)
-        if (found := named.get(name) or next(chain(known, own), None)) is not None:
+        alike = (each for each in moving(log, partial(_bears, name)) if each.place not in other)
+        if (found := named.get(name) or next(chain(known, alike), None)) is not None:
             outputs[name] = found
     outputs |= {
         name: each for name, each in attitudes(log, outputs).items() if each.place not in driving
     }
     outputs = {name: outputs[name] for name in OUTPUTS if name in outputs}
+    outputs |= {name: x for name, x in named.items() if name in measured}
     return inputs or find_inputs(log, outputs), outputs
 
 
@@ -107,7 +120,7 @@ def _bears(name: str, topic: Topic, column: str) -> bool:
 
 def others(log: Log, name: str, taken: Source) -> list[Source]:
     """Columns of other topics that hold the same output."""
-    found = (source_of(log, place) for place in OUTPUTS[name])
+    found = (source_of(log, place) for place in OUTPUTS.get(name, ()))
     return [each for each in found if each is not None and each.topic is not taken.topic]
 
 
@@ -184,14 +197,16 @@ def with_units(sources: Mapping[str, Source], stated: Mapping[str, str]) -> dict
     for name, said in (pulses | dict(stated)).items():
         if (source := sources.get(name)) is None:
             continue
-        unit = SPELT.get(said, said)
-        meant = "pwm" if name not in OUTPUTS and unit in PULSES else unit
-        factor = factor_of(name, meant) / SI_OF.get(source.unit or "", 1.0)
+        unit = spelt(said)
+        meant = "pwm" if name not in MEASURED and unit in PULSES else unit
+        factor = factor_of(name, meant) / (in_si(source.unit or "") or 1.0)
         found[name] = replace(source, values=factor * source.values, unit=unit)
     return found
 
 
-def check_units(path: Path, sources: Mapping[str, Source]) -> list[str]:
+def check_units(
+    path: Path, sources: Mapping[str, Source], outputs: Collection[str] = MEASURED
+) -> list[str]:
     """What is taken where no known unit is stated, a sentence each.
 
     ValueError: an output in a unit that is none of its quantity's, wrong by any factor.
@@ -200,11 +215,12 @@ def check_units(path: Path, sources: Mapping[str, Source]) -> list[str]:
     for name, source in sources.items():
         if source.unit is None:
             continue
-        if name not in OUTPUTS:
+        quantity = MEASURED.get(name, "it is")
+        if name not in outputs:
             said += _of_input(name, source.unit)
         elif source.unit == "":
-            said.append(f"unit of {name} not stated: taken as {UNITS[name]}")
-        elif SPELT.get(source.unit, source.unit) not in (known := MEASURES[UNITS[name]]):
+            said.append(f"unit of {name} not stated: taken as {quantity}")
+        elif spelt(source.unit) not in (known := MEASURES.get(quantity, SI)):
             raise ValueError(
                 f"{path}: column {source.place}, of {name}, is in {source.unit!r}, which is none "
                 f"of {', '.join(known)}; state what it is: --unit {name}=UNIT "
@@ -219,4 +235,5 @@ def _of_input(name: str, unit: str) -> list[str]:
         return [f"unit of {name} not stated: taken as it is"]
     if unit in PULSES:
         return [f"{name} is in {unit}: pulses, of which 1000 are one of the record"]
-    return [] if unit in SI_OF else [f"unit of {name}, {unit!r}, is not known: taken as it is"]
+    known = in_si(unit) is not None
+    return [] if known else [f"unit of {name}, {unit!r}, is not known: taken as it is"]

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.channels import in_si, spelt
 from casid.display import counted
-from casid.logs.topics import SI_OF, Topic, make_topic
+from casid.logs.topics import Topic, make_topic
 
 MAGIC = b"\xa3\x95\x80"
 TEXT_MAGIC = b"FMT,"
 HEAD, FORMAT = MAGIC[:2], MAGIC[2]
 CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # s
 INSTANCE = ord("#")  # unit of the field that numbers several sensors of a kind
-UNITS = {"m/s/s": "m/s^2"}  # as ArduPilot spells them
 # Of messages in logs without FMTU: https://ardupilot.org/copter/docs/logmessages.html
 _ANGLES = dict.fromkeys(("Roll", "Pitch", "Yaw"), "deg")
 _IMU = dict.fromkeys(("GyrX", "GyrY", "GyrZ"), "rad/s")
@@ -188,11 +188,11 @@ def _with_units(formats: Mapping[int, Format], tables: Mapping[int, Any]) -> dic
         if kind not in formats:
             continue
         each, blank = formats[kind], [ord("-")] * len(formats[kind].fields)
-        spelt = ["#" if mark == INSTANCE else units.get(mark, "") for mark in [*unit_marks, *blank]]
+        names = ["#" if mark == INSTANCE else units.get(mark, "") for mark in [*unit_marks, *blank]]
         scales = [factors.get(mark, 0.0) or 1.0 for mark in [*factor_marks, *blank]]
         found[int(kind)] = replace(
             each,
-            units=tuple(spelt[: len(blank)]),
+            units=tuple(names[: len(blank)]),
             stated=True,
             factors=tuple(x or y for x, y in zip(each.factors, scales, strict=False)),
         )
@@ -207,19 +207,19 @@ def _topics(form: Format, rows: Any) -> Iterator[Topic]:  # noqa: ANN401 - a str
     number = form.units.index("#") if "#" in form.units else None
     which: Array = np.zeros(len(rows)) if number is None else rows[f"f{number}"]
     # What nobody states is told, what a user states is read for what stood there.
-    spelt = {
-        name: UNITS.get(unit, unit)
+    stated = {
+        name: spelt(unit)
         for name, unit in zip(form.fields, form.units, strict=True)
-        if unit in SI_OF or not (form.stated or form.name in DOCUMENTED)
+        if in_si(unit) is not None or not (form.stated or form.name in DOCUMENTED)
     }
     for value in np.unique(which) if which.dtype.kind in "iuf" else ():
         own = rows[which == value]
         columns = (
-            (name, own[f"f{k}"] * (form.factors[k] or 1.0), spelt.get(name, ""))
+            (name, own[f"f{k}"] * (form.factors[k] or 1.0), stated.get(name, ""))
             for k, name in enumerate(form.fields)
             if k not in (clock, number) and own[f"f{k}"].dtype.kind in "iuf"
         )
         name = form.name if number is None else f"{form.name}[{value:g}]"
         stamps = own[f"f{clock}"] * CLOCKS[form.fields[clock]]
         if (topic := make_topic(name, stamps, columns)) is not None:
-            yield replace(topic, units=spelt)
+            yield replace(topic, units=stated)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
+from casid.channels import AIR, ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.checks import checked
 from casid.consistency.alignment import aligned
 from casid.consistency.kinematics import kinematic_check
@@ -165,7 +165,7 @@ def import_log(
             "replace it (--fresh)"
         )
     inputs, outputs = _channels(log, columns, dict(units or {}), model)
-    assumed = check_units(log.path, {**inputs, **outputs})
+    assumed = check_units(log.path, {**inputs, **outputs}, outputs)
     dt = usual_dt(inputs, outputs, hold) if dt is None else dt
     assumed += hold_told(inputs, outputs, dt, hold)
     with _naming(log.path):
@@ -206,10 +206,10 @@ def _channels(
     log: Log, columns: Mapping[str, str] | None, stated: Mapping[str, str], model: str | None
 ) -> tuple[dict[str, Source], dict[str, Source]]:
     """Inputs and outputs of a structure, or of any, in the units stated."""
-    inputs, outputs = find_channels(log, columns)
     structure = None if model is None else load_model(model)
-    if structure is not None:
-        inputs = {name: inputs[name] for name in structure.inputs if name in inputs}
+    own = ((), ()) if structure is None else (structure.inputs, structure.outputs)
+    inputs, outputs = find_channels(log, columns, own)
+    inputs = {name: inputs[name] for name in own[0] or inputs if name in inputs}
     _check_found(log, inputs, outputs, structure)
     if strange := stated.keys() - inputs.keys() - outputs.keys():
         raise ValueError(
@@ -346,7 +346,7 @@ def _divided(records: Sequence[Record]) -> list[Stretch]:
 
 def _beside(records: Sequence[Record], outputs: Collection[str]) -> list[str]:
     """What kinematics knows and records hold beside the outputs of a structure."""
-    known = (*RATES, *FORCES, *ATTITUDES, *VELOCITIES)
+    known = (*RATES, *FORCES, *ATTITUDES, *VELOCITIES, *AIR)
     names = [name for name in records[0].outputs if name in known and name not in outputs]
     return [n for n in names if all(np.isfinite(r.channel(n)).any() for r in records)]
 

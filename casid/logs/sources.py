@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.logs.topics import SI_OF, Log, Topic
+from casid.channels import in_si
+from casid.logs.topics import Log, Topic
 
 LARGEST = 1e6  # in SI, or whatever an input is in: no channel of an aircraft reaches it
 MEASURED = 0.5  # of a column's samples, without which it is none
@@ -38,7 +39,7 @@ def source_of(log: Log, place: str) -> Source | None:
     column = place.removeprefix("-").removeprefix(f"{topic.name}.")
     unit = topic.units.get(column)
     if unit == "" and (unit := with_unit(column)[1]):  # where the log's writer states no other
-        values = SI_OF[unit] * values
+        values = (in_si(unit) or 1.0) * values
     return Source(
         place=place, topic=topic, values=-values if place[0] == "-" else values, unit=unit
     )
@@ -65,7 +66,7 @@ def moving(log: Log, wanted: Callable[[Topic, str], bool]) -> list[Source]:
 def with_unit(column: str) -> tuple[str, str]:
     """A column's name and the unit behind it, ``"Roll [deg]"`` Roll and deg; "" without one."""
     found = UNIT.search(column)
-    known = found is not None and not found[1].isdecimal() and found[1].strip() in SI_OF
+    known = found is not None and not found[1].isdecimal() and in_si(found[1]) is not None
     return (column[: found.start()], found[1].strip()) if found and known else (column, "")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array
-from casid.channels import SI
+from casid.channels import in_si
 from casid.display import Cells, Tabled, counted, listed
 
 BEYOND = 1e20  # of any unit: no sensor gives as much, nor do stamps of 64 bits
@@ -19,17 +19,6 @@ LASTS = 0.9  # of the longest part between such places: the first that lasts as 
 GAP = 5.0  # usual intervals without a sample that make a gap
 FREELY = 64 * 2**20  # bytes that a reader may read of the smallest log, and
 OFTEN = 8  # times the size of a larger one
-SPELT = {  # as logs write units that casid knows
-    **dict.fromkeys(("degree", "degrees", "°", "degheading"), "deg"),
-    **dict.fromkeys(("radian", "radians"), "rad"),
-    **dict.fromkeys(("deg/sec", "degrees/s", "°/s", "°/sec"), "deg/s"),
-    **dict.fromkeys(("rad/sec", "radians/s"), "rad/s"),
-    **dict.fromkeys(("m/s2", "m/s/s"), "m/s²"),
-    "G": "g",
-    "kts": "kt",
-    "percent": "%",
-}
-SI_OF = SI | {spelt: SI[unit] for spelt, unit in SPELT.items()}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -139,7 +128,7 @@ def make_topic(
         if x.dtype.kind in "fiub" and len(x) == len(t):
             read = np.asarray(x[rows], dtype=float)
             read = np.where(np.abs(read) < BEYOND, read, np.nan)
-            values[printable(column)] = read * SI_OF.get(unit, 1.0)
+            values[printable(column)] = read * (in_si(unit) or 1.0)
     name = printable(name)
     repeats = int(np.isin(t[1:][np.diff(t) == 0], t[rows]).sum())
     left_out = len(t) - len(rows) - repeats

@@ -140,6 +140,18 @@ def test_columns_named_by_the_user_or_like_a_channel_are_taken():
         find_channels(found, {"q": "Gyro.Q"})
 
 
+def test_what_is_measured_drives_nothing_whoever_names_it():
+    a, b, c, d = random(4)
+    found = log(Sticks={"lat": a}, Gyro={"p": b}, Air={"TAS": c, "AOS": d, "Alt": 30 * d})
+    air = {"V": "Air.TAS", "beta": "Air.AOS", "altitude": "Air.Alt"}
+    inputs, outputs = find_channels(found, air)
+    assert (set(inputs), list(outputs)) == ({"lat"}, ["p", *air])
+    named = {"m1": "Air.TAS", "nz": "Air.Alt", "V": "Air.AOS"}  # names are a structure's own
+    inputs, outputs = find_channels(found, named, (("m1",), ("nz",)))
+    assert (set(inputs), list(outputs)) == ({"m1"}, ["p", "nz", "V"])
+    assert "V" in find_channels(found, {"V": "Air.TAS"}, (("V",), ()))[0]  # volts of a motor
+
+
 PATH = Path("flight.tdms")
 
 
@@ -172,6 +184,13 @@ def test_a_unit_that_nobody_states_is_told():
         "unit of lat, 'V', is not known: taken as it is"
     ]
     assert check_units(PATH, {"p": source("deg/s"), "q": source(None)}) == []
+
+
+def test_measured_channels_in_unknown_units_are_refused_as_rates_are():
+    assert check_units(PATH, {"V": source("knots"), "h": source("Feet"), "nz": source("g")}) == []
+    for name, unit in (("V", "mph"), ("beta", "mils"), ("h", "kt"), ("nz", "furlongs")):
+        with pytest.raises(ValueError, match=f"of {name}, is in '{unit}', which is none of"):
+            check_units(PATH, {name: source(unit)}, (name,))
 
 
 @pytest.mark.parametrize("unit", ["Grad/sec", "m/s", "us"])

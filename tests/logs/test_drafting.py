@@ -150,6 +150,26 @@ def test_surfaces_are_inputs_and_roll_beside_them_is_an_attitude(tmp_path):
 
 
 @pytest.mark.slow
+def test_an_airspeed_that_the_user_names_is_checked_and_drives_nothing(tmp_path):
+    """Its slow samples set no interval either, and knots are knots: 40 m/s, by definition."""
+    t, x = flight(20.0)
+    wave, rare = ({"wf_increment": k * STEP, "wf_start_offset": 0.0} for k in (1, 10))
+    columns = [nptdms.ChannelObject("log", name, x[name], wave) for name in (*STICKS, *"pqr")]
+    knots = 40.0 / (1852 / 3600) + np.sin(t[::10])
+    columns += [nptdms.ChannelObject("air", "TAS", knots, rare | {"unit_string": "knots"})]
+    with nptdms.TdmsWriter(tmp_path / "own.tdms") as writer:
+        writer.write_segment(columns)
+    alone = import_log(tmp_path / "own.tdms", tmp_path / "alone")
+    draft = import_log(tmp_path / "own.tdms", tmp_path / "air", columns={"V": "air.TAS"})
+    assert list(draft.inputs) == list(alone.inputs) == [*STICKS]
+    assert draft.records[0].dt == alone.records[0].dt
+    assert draft.assumed == alone.assumed
+    study = read_study(draft.study)
+    assert "V" in study.channels.check
+    assert np.nanmean(draft.records[0].channel("V")) == pytest.approx(40.0, abs=0.1)
+
+
+@pytest.mark.slow
 def test_units_that_a_log_does_not_state_are_told_and_unknown_ones_refused(tmp_path):
     path = tmp_path / "log.tdms"
     said = WRITERS["flight.tdms"](12.0)
