@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
 from casid.errors import warn
+from casid.instants import check_time, stamp
 
 Between = Literal["zoh", "foh", "smooth"]  # steps, straight lines, a cubic spline
 
@@ -19,14 +20,12 @@ LEVEL = 10  # first samples of a noisy input, whose mean is its level at rest
 FADED = 4.0  # deviations of its noise at rest from which on an input that fades in has begun
 FAINT = 0.001  # share of an input's range that a rest which is not exact may wander
 ROUNDING = 1e-9  # of an input's largest value: a smaller change is none
-LASTING = 16  # samples between places where time goes back, from which on they are records
 FEWEST = 50  # samples that show noise
 BEGUN = 100  # first samples, at rest where there is any
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 SLOWER = 1.5  # intervals that are longer by this factor need a filter first
 CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
-UNLIKE = 0.05  # of the samples, at most, that have an instant of the one before and other values
 ABRUPT = 10.0  # times the moves before and after it: a move that is a jump
 STEPS = 0.9  # of an input's moves, squared, that are jumps: it moves in steps
 BURST = 5  # outliers that make a run, and samples from one to the next there
@@ -246,7 +245,7 @@ def check_samples(
     every = (*names[0], *names[1])
     if twice := [name for name in every if every.count(name) > 1]:
         raise ValueError(f"record {record!r}: channel {twice[0]!r} is named twice")
-    _check_time(record, t, np.hstack([u, y]))
+    check_time(record, t, np.hstack([u, y]))
     _check_values(record, u, y, names)
 
 
@@ -310,14 +309,6 @@ def _median_step(t: Array) -> float:
     return float(np.median(steps[steps > 0]))
 
 
-def stamp(t: Array, k: int) -> str:
-    """One of the instants (N,) [s], with the digits that tell it from its neighbours."""
-    steps = np.diff(t)
-    finest = float(np.min(steps[steps > 0], initial=1.0))
-    digits = np.ceil(np.log10(max(np.abs(t[k]) / finest, 1.0))) + 2
-    return f"{t[k]:.{int(np.clip(digits, 6, 17))}g}"
-
-
 def merged(t: Array, u: Array, y: Array, close: BoolArray) -> tuple[Array, Array, Array]:
     """Samples without those marked; outputs missing in the one before are taken from them."""
     # Of several sensors on nearly the same clock nothing is lost.
@@ -325,36 +316,6 @@ def merged(t: Array, u: Array, y: Array, close: BoolArray) -> tuple[Array, Array
     for k in np.flatnonzero(close)[::-1]:
         y[k - 1] = np.where(np.isnan(y[k - 1]), y[k], y[k - 1])
     return t[~close], u[~close], y[~close]
-
-
-def _check_time(record: str, t: Array, values: Array) -> None:
-    """Refuse time that is none, goes back, or stands still for samples with other values."""
-    if not np.isfinite(t).all():
-        k = int(np.flatnonzero(~np.isfinite(t))[0])
-        raise ValueError(f"record {record!r}: t[{k}] = {t[k]}; time must be finite")
-    steps, known = np.diff(t), np.isfinite(values)
-    moves, differ = bool((steps > 0).any()), known[1:] & known[:-1] & (values[1:] != values[:-1])
-    stands = (steps == 0) & (differ.any(axis=1) | (not moves))
-    few = moves and stands.sum() <= UNLIKE * len(t)
-    if few:
-        stands[:] = False  # the first is kept, as of samples close together (`tidied`)
-    if (back := np.flatnonzero((steps < 0) | stands)).size:
-        k = int(back[0]) + 1
-        again = "sort the samples and drop repeated ones"
-        if not few:
-            again += f", or write time with more digits if it is rounded ({stands.sum()} samples)"
-        parts = np.diff([0, *(back + 1), len(t)])
-        # Samples out of order are passed by soon after; a second flight lasts, or goes over again.
-        if parts.min() >= LASTING and (t[back + 1 + LASTING // 2] < t[back]).all():
-            more = f", and at {len(back) - 1} places more" * (len(back) > 1)
-            again = (
-                "a second flight, or what a logger wrote after it started again, seems to stand "
-                f"below the first: cut the file there{more}, and read each part as its own record"
-            )
-        raise ValueError(
-            f"record {record!r}: time does not increase at sample {k} "
-            f"({stamp(t, k - 1)} s, then {stamp(t, k)} s); {again}"
-        )
 
 
 def _check_values(

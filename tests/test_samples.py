@@ -12,7 +12,6 @@ from casid.samples import (
     _begun,
     at_instants,
     bursts,
-    check_samples,
     off_rest,
     resting,
     runs,
@@ -170,23 +169,3 @@ def test_of_a_few_samples_at_one_instant_the_first_is_kept_and_of_many_time_is_d
         Record(1780358400.5 + np.floor(t / 0.02) * 0.02, x, x, ("lat",), ("p",))
     with pytest.raises(ValueError, match="time does not increase at sample 1"):
         Record(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 1)), ("lat",), ("p",))
-
-
-def test_time_that_goes_back_is_told_as_a_second_flight_or_as_samples_out_of_order():
-    t, known = 0.02 * np.arange(200), (("lat",), ("p",))
-    swapped = t.copy()
-    swapped[[100, 101]] = t[[101, 100]]
-    second, restarted = np.r_[t, t], np.r_[t[:150], t[100:]]
-    thrice = np.r_[t, t, t]
-    doubled = np.repeat(t, 2)
-    for times, told in (
-        (second, "a second flight, .* cut the file there, and read each part"),
-        (restarted, "a second flight"),
-        (thrice, "cut the file there, and at 1 places more"),
-        (swapped, "sort the samples"),
-        (doubled, r"or write time with more digits if it is rounded \(200 samples\)"),
-        (t[::-1], "sort the samples"),
-    ):
-        x = np.sin(np.arange(len(times)))[:, None]
-        with pytest.raises(ValueError, match=f"time does not increase at sample .*{told}"):
-            check_samples("flight", times, x, x, known)

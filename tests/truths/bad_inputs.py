@@ -206,7 +206,7 @@ bad(
     "time does not increase",
     "more digits",
 )
-bad("time backwards", cells(lambda rows: [rows[0], *rows[:0:-1]]), "does not increase", "sort")
+bad("time backwards", cells(lambda rows: [rows[0], *rows[:0:-1]]), "does not increase", "reverse")
 bad("a gap in time", cell(99, 0, ""), "t[98] = nan", "time must be finite")
 bad("angles in degrees", column(3, scaled(3000)), "'phi'", 'phi = "deg"')
 bad("rates in degrees", column(2, scaled(3000)), "'p'", 'p = "deg/s"')
