@@ -65,7 +65,7 @@ def _remedy(t: Array, values: Array, back: NDArray[np.intp], stands: BoolArray) 
         late = np.array([_behind(t, int(b), usual) for b in back])
         if (late > BEHIND * usual).all():
             return (
-                f"the clock seems to have stepped back by {late[0]:.3g} s: what follows is early. Cut "
+                f"the clock seems to have stepped back by {late[0]:.3g} s and to stay there. Cut "
                 f"the file there{more}, and read each part as its own record, or add {late[0]:.3g} "
                 f"s to all instants that follow{' (at each place its own)' * (len(back) > 1)}"
             )

@@ -20,6 +20,7 @@ from casid.repeated_samples import repeated, source_interval
 from casid.report.tables import cells
 from casid.samples import bursts, usual_interval
 from casid.saturation import longest_stop, saturated
+from casid.seams import seams_told
 from casid.structure.identifiability import Identifiability, identifiability
 from casid.stuck_channels import Frozen, frozen
 
@@ -152,6 +153,7 @@ def inspect_records(
         found = identifiability(model, records, fixed=fixed, bounds=bounds)
     advice = unit_advice(records, time, stated)
     advice += [said for each in facts for said in _record_advice(each, inputs)]
+    advice += [f"{each.name}: {said}" for each in records for said in seams_told(each)]
     advice += steps_told(records, inputs) + twins_told(records)
     advice += _excitation_advice(facts, inputs, still(records, (*inputs, *outputs)))
     advice += _correlation_advice(correlation, inputs)

@@ -27,6 +27,7 @@ from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
 from casid.saturation import longest_stop, saturated
+from casid.seams import seams_told
 from casid.slow_sources import tell_repeats
 from casid.stages.stage import ROLES, Role, Stage, Task, examine_task
 from casid.stuck_channels import frozen
@@ -246,8 +247,8 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
 
 def _tell_lost(record: Record) -> None:
     """Warn of what was not measured, though there are samples."""
-    for stretch in frozen(record):
-        warn(f"Record {record.name}: {stretch.told()}")
+    for said in (*(stretch.told() for stretch in frozen(record)), *seams_told(record)):
+        warn(f"Record {record.name}: {said}")
     for name in record.outputs:
         values = record.channel(name)
         if n := longest_stop(values[np.isfinite(values)], stick=False):
