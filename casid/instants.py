@@ -62,7 +62,7 @@ def _remedy(t: Array, values: Array, back: NDArray[np.intp], stands: BoolArray) 
                 "a second flight, or what a logger wrote after it started again, seems to stand "
                 f"below the first: cut the file there{more}, and read each part as its own record"
             )
-        late = np.array([_behind(t, int(b), usual) for b in back])
+        late = np.array([behind(t, int(b), usual) for b in back])
         if (late > BEHIND * usual).all():
             return (
                 f"the clock seems to have stepped back by {late[0]:.3g} s and to stay there. Cut "
@@ -75,7 +75,7 @@ def _remedy(t: Array, values: Array, back: NDArray[np.intp], stands: BoolArray) 
     return again
 
 
-def _behind(t: Array, b: int, usual: float) -> float:
+def behind(t: Array, b: int, usual: float) -> float:
     """By how much what follows sample b stays behind what led to it [s]; 0 of rows out of order."""
     n = min(LASTING, b + 1, len(t) - b - 1)
     overlap = float(t[b] - t[b + 1])

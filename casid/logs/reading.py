@@ -2,7 +2,7 @@
 
 import contextlib
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from casid.checks import optional
-from casid.display import counted
+from casid.display import counted, instant, listed
 from casid.limits import MIB, check_file
 from casid.logs import dataflash, tdms, ulog
 from casid.logs.topics import Log, Topic, printable
@@ -68,6 +68,7 @@ def read_log(path: str | Path) -> Log:
     if not topics:
         why = "; ".join(notes) or f"is the {kind} log cut off?"
         raise ValueError(f"{path}: no topic with samples could be read; {why}")
+    notes += _went_back([each for each in topics.values() if each.went_back])
     for what, remedy in LEFT_OUT.items():
         # What has one stamp in all is no signal: a table that the log describes itself with.
         gone = {name: getattr(each, what) for name, each in topics.items() if len(each.t) > 1}
@@ -79,6 +80,22 @@ def read_log(path: str | Path) -> Log:
                 f"({gone[most]} of {whole}): {remedy[1]}",
             )
     return Log(path=path, kind=kind, topics=topics, notes=notes)
+
+
+def _went_back(topics: Sequence[Topic]) -> tuple[str, ...]:
+    """Where the clocks of topics went back for good, and which of their parts is kept."""
+    if not topics:
+        return ()
+    topic = max(topics, key=lambda each: each.left_out)
+    at, lag = topic.went_back[0]
+    more = f" and at {counted(len(topic.went_back) - 1, 'place')} more"
+    others = f"; so did those of {listed([each.name for each in topics if each is not topic])}"
+    return (
+        f"the clock of {topic.name} went back by {lag:.3g} s at {instant(at)} s"
+        f"{more * (len(topic.went_back) > 1)}: what follows is displaced against other topics by "
+        f"so much; kept is {instant(float(topic.t[0]))} to {instant(float(topic.t[-1]))} s"
+        f"{others * (len(topics) > 1)}",
+    )
 
 
 def _topics(

@@ -5,6 +5,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,13 @@ from numpy.typing import NDArray
 from casid.arrays import Array
 from casid.channels import in_si
 from casid.display import Cells, Tabled, counted, listed
+from casid.instants import behind
 
 BEYOND = 1e20  # of any unit: no sensor gives as much, nor do stamps of 64 bits
 NEAR = 25  # samples on either side of where stamps go back, by which a clock began anew
+STEPPED = 3.0  # usual intervals by which a clock stepped back for good, however short that is
+FEW = 20  # places where stamps go back: of more the clock is no better known on either side
+NEARLY = 0.05  # of the usual interval: a stamp so soon after another is the same
 LASTS = 0.9  # of the longest part between such places: the first that lasts as long is kept
 GAP = 5.0  # usual intervals without a sample that make a gap
 FREELY = 64 * 2**20  # bytes that a reader may read of the smallest log, and
@@ -41,6 +46,8 @@ class Topic:
         Samples whose stamps went back, or were no numbers.
     repeats : int
         Samples left out whose stamps are those of the samples before them.
+    went_back : tuple of (float, float)
+        Stamps at which the clock went back for good, and by how much [s].
     """
 
     name: str
@@ -50,6 +57,7 @@ class Topic:
     units: Mapping[str, str] = field(default_factory=dict)
     left_out: int = 0
     repeats: int = 0
+    went_back: tuple[tuple[float, float], ...] = ()
 
     @property
     def taken(self) -> Array:
@@ -132,7 +140,10 @@ def make_topic(
     name = printable(name)
     repeats = int(np.isin(t[1:][np.diff(t) == 0], t[rows]).sum())
     left_out = len(t) - len(rows) - repeats
-    found = Topic(name=name, t=t[rows], columns=values, age=age, left_out=left_out, repeats=repeats)
+    own = t[_numbers(t)]
+    back = tuple((float(own[k - 1]), _lag(own, k)) for k in _anew(own))
+    lost: dict[str, Any] = {"left_out": left_out, "repeats": repeats, "went_back": back}
+    found = Topic(name=name, t=t[rows], columns=values, age=age, **lost)
     return found if values else None
 
 
@@ -141,17 +152,40 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
-def _of_one_clock(t: Array, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The samples between two places where the clock began anew, the first of the longest."""
+def _numbers(t: Array) -> NDArray[np.intp]:
+    """The samples whose stamps are numbers."""
+    return np.flatnonzero(np.abs(t) < BEYOND)
+
+
+def _usual(t: Array) -> float:
+    """Median interval of stamps that go ahead [s]; infinite where none does."""
+    steps = np.diff(t)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+
+
+def _lag(t: Array, k: int) -> float:
+    """By how much stamps are behind from k on [s]."""
+    return float(t[k - 1] - t[k]) + _usual(t)
+
+
+def _anew(t: Array) -> list[int]:
+    """Places at which the clock of stamps began anew, or stepped back and stayed there."""
     # A stamp that is wrong is not later than most before it and earlier than most after.
-    back = np.flatnonzero(np.diff(t[rows]) < 0) + 1
-    anew = [
+    back, usual = np.flatnonzero(np.diff(t) < 0) + 1, _usual(t)
+    return [
         k
         for k in back.tolist()
-        if NEAR <= k <= len(rows) - NEAR
-        and np.median(t[rows[k - NEAR : k]]) > np.median(t[rows[k : k + NEAR]])
+        if NEAR <= k <= len(t) - NEAR
+        and (
+            np.median(t[k - NEAR : k]) > np.median(t[k : k + NEAR])
+            or (len(back) <= FEW and behind(t, k - 1, usual) > STEPPED * usual)
+        )
     ]
-    parts = np.split(rows, anew)
+
+
+def _of_one_clock(t: Array, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The samples between two places where the clock began anew, the first of the longest."""
+    parts = np.split(rows, _anew(t[rows]))
     lasting = np.array([np.ptp(np.percentile(t[part], (1, 99))) for part in parts])
     return parts[int(np.argmax(lasting >= LASTS * lasting.max()))]
 
@@ -161,7 +195,7 @@ def increasing(t: Array) -> NDArray[np.intp]:
 
     Of what two clocks stamped alike nobody knows which came first.
     """
-    rows = np.flatnonzero(np.abs(t) < BEYOND)
+    rows = _numbers(t)
     if (np.diff(t[rows]) > 0).all():
         return rows
     rows = _of_one_clock(t, rows)
@@ -176,7 +210,9 @@ def increasing(t: Array) -> NDArray[np.intp]:
     while k >= 0:
         chosen.append(k)
         k = before[k]
-    return np.asarray(rows[chosen[::-1]])
+    found = np.asarray(rows[chosen[::-1]])
+    steps = np.diff(t[found], prepend=-np.inf)
+    return found[steps > NEARLY * _usual(t[found])] if len(found) > 1 else found
 
 
 class DamagedLogError(Exception):

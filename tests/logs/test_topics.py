@@ -83,3 +83,31 @@ def test_a_reader_that_goes_in_circles_is_stopped():
     again(8)  # as a reader of a sound log may
     with pytest.raises(DamagedLogError):
         again(100_000)
+
+
+@pytest.mark.parametrize("back", [0.06, 0.1, 0.113, 50.0])
+def test_a_clock_that_stepped_back_is_told_and_its_longest_side_kept(back):
+    """By how much is what was taken off; what follows would be that early against other topics."""
+    t = 0.01 * np.arange(10_000)
+    t[5500:] -= back
+    found = make_topic("IMU", t, [("p", np.arange(10_000.0), "")])
+    ((at, lag),) = found.went_back
+    assert (at, lag) == (pytest.approx(54.99), pytest.approx(back))
+    np.testing.assert_array_equal(found.columns["p"], np.arange(5500.0))
+
+
+def test_stamps_out_of_order_are_no_clock_that_stepped_back():
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(2000)
+    wild, late, noisy = t.copy(), t.copy(), t + 0.02 * rng.uniform(size=2000)
+    wild[700] += 5.0
+    late[[300, 310]] = t[[310, 300]]
+    for stamps in (t, wild, late, noisy):
+        assert make_topic("IMU", stamps, [("p", t, "")]).went_back == ()
+
+
+def test_stamps_that_are_nearly_one_are_no_two_samples():
+    """Between them a curve would swing far beyond both."""
+    t = 0.01 * np.arange(400)
+    t[200:] -= 0.02 - 1e-14  # the second after is the last before, to rounding
+    assert np.diff(t[increasing(t)]).min() > 0.005
