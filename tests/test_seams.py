@@ -35,6 +35,7 @@ def test_two_flights_that_were_joined_are_told_and_each_alone_is_not(seed):
     assert {"u"} <= {*names} <= {"phi", "theta", "u"}  # a rate is free to leap
 
 
+@pytest.mark.second
 def test_a_seam_is_told_by_an_inspection_with_what_to_do():
     first, second = flown(1, [0, 0.02, 40, 0]), flown(2, [0.3, -0.2, 48, 0])
     joined = record(np.vstack([first[:300], second[300:]]))
