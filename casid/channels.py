@@ -31,7 +31,7 @@ MEASURES = {  # SI unit -> what one of each unit is in it; PWM travels 1000 µs,
 PULSES = ("us", "µs")  # of a control: pulses of a servo
 SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
 WORDS = {  # parts of units, in lower case, as they are written beside those that are known
-    **dict.fromkeys(("degree", "degrees", "degs", "°", "degheading"), "deg"),
+    **dict.fromkeys(("degree", "degrees", "°", "degheading"), "deg"),
     **dict.fromkeys(("radian", "radians", "rads"), "rad"),
     **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("msec", "msecs", "millisecond", "milliseconds"), "ms"),
