@@ -129,7 +129,7 @@ def test_the_campaign_of_the_uh60_is_accepted_and_without_noise_nothing_is_said(
     clean = excitation(uh60.sweeps())
     assert clean.singular
     assert clean.doubts() == ()
-    assert "singular" in str(clean)
+    assert "exactly predictable" in str(clean)
 
 
 def test_a_record_too_short_or_at_rest_is_refused_and_never_stops_a_black_box():

@@ -266,8 +266,12 @@ def test_results_that_became_read_only_stay_and_are_named(copy):
             path.chmod(0o755)
         (folder / "out/.lock").chmod(0o666)
         before = results(folder)
+        study = folder / "study.toml"
         with unprivileged():
-            result = identify(folder / "study.toml")
+            assert identify(study).exit_code == 0  # nothing is to be written
+        study.write_text(study.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
+        with unprivileged():
+            result = identify(study)
         assert result.exit_code == 2, result.output
         assert "Permission denied" in result.stderr
         assert str(folder / "out") in result.stderr

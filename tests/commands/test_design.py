@@ -134,7 +134,7 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     assert run(study, "-o", tmp_path / "out", "--duration", "8").exit_code == 0
     page = (tmp_path / "out/design/design.md").read_text()
     kind = page.split(maxsplit=2)[1]
-    assert f"\n\nOf steps and multisine, {kind} was chosen by the criterion MV over" in page
+    assert f"\n\nOf steps and multisine, {kind} was chosen by the criterion MV, " in page
 
 
 @pytest.mark.second

@@ -202,7 +202,7 @@ def test_a_response_in_another_unit_or_of_another_sign_is_told(domain):
         stated = measured()
         G = stated.G.copy()
         G[:, stated.index("p", "lat")[0]] *= factor
-        with pytest.warns(DataWarning, match=r"p after lat [\d.]+ times.*a unit or a sign"):
+        with pytest.warns(DataWarning, match=r"p after lat [\d.]+ times.*: a wrong unit or sign"):
             output_error(TRUTH, RECORDS, responses=replace(stated, G=G), domain=domain)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DataWarning)
@@ -236,7 +236,7 @@ def test_errors_stated_in_other_units_or_too_small_are_told(domain):
     )
     for factor, said in cases:
         wrong = replace(right, random_error=factor * right.random_error)
-        with pytest.warns(DataWarning, match=rf"response 1 .* is {said}"):
+        with pytest.warns(DataWarning, match=rf"response 1 .* is off by {said}"):
             output_error(TRUTH, RECORDS, responses=wrong, domain=domain)
 
 

@@ -163,7 +163,7 @@ def test_a_gust_that_lasts_is_told():
 @pytest.mark.second
 def test_a_record_in_rougher_air_is_told_and_chance_is_not():
     with pytest.warns(
-        DataWarning, match=r"innovations of . in flight 2 have [\d.]+ times .* flight 1: its"
+        DataWarning, match=r"innovations of . in flight 2 have [\d.]+ times .* flight 1: the air"
     ):
         output_error(Lags(), [driven(1, 0.3 * TWO), driven(2, 3 * TWO)], process_noise=True)
     output_error(Lags(), [driven(1, TWO, 60), driven(2, 1.2 * TWO, 500)], process_noise=True)
