@@ -274,8 +274,9 @@ def write_swing(folder, rests, speeds=()):
     t = 0.05 * np.arange(160)
     for number, rest in enumerate(rests):
         moment = 2.0 * np.sin(rest) + 0.1 * (t > 2)
-        theta, q = rest + 0.2 * np.sin(t) * (t > 2), 0.2 * np.cos(t) * (t > 2)
-        rows = np.column_stack([t, moment, q, theta, *(v + 0.1 * q for v in speeds[number:][:1])])
+        theta, q = rest + 0.2 * np.sin(t - 2) * (t > 2), 0.2 * np.cos(t - 2) * (t > 2)
+        flown = (v + 0.01 * (theta - rest) for v in speeds[number:][:1])
+        rows = np.column_stack([t, moment, q, theta, *flown])
         text = f"t,m,q,theta{',u' if speeds else ''}\n" + "\n".join(
             ",".join(map(str, row)) for row in rows.tolist()
         )

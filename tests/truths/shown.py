@@ -109,7 +109,8 @@ def values():
                        singular_values=np.array([1.0, 0.1])),
         Distortion(omega=np.array([1.0, 2.0, 4.0]), inputs=("lat",), outputs=("p",),
                    small=np.array([0.1]), large=np.array([0.3]), noise=SHARES / 100,
-                   distortion=SHARES / 10, excess=np.array([[9.0]])),
+                   distortion=SHARES / 10, excess=np.array([[9.0]]), together=np.array([[4.0]]),
+                   least=np.array([[0.02]])),
         Log(path=Path("flight.ulg"), kind="PX4 ULog",
             topics={"gyro": make_topic("gyro", DT * np.arange(9.0), [("p", np.ones(9), "")])}),
     ]  # fmt: skip
