@@ -13,6 +13,7 @@ from casid.display import instant, listed
 from casid.record import Record
 
 LEAPS = 4.0  # times the largest leap elsewhere
+MOVES = 2.0  # times what it moves by from sample to sample elsewhere: a rate may begin at once
 SEVERAL = 2  # channels that leap together
 WIDTHS = (2, 5, 10, 20)  # samples of lines on either side: wider ones see through noise
 NEAR = 1  # sample by which noise may move a leap
@@ -62,7 +63,10 @@ def _leap(t: Array, x: Array) -> int | None:
             leaps[max(gap - n, 0) : gap + n + 1] = 0.0
         k = int(np.argmax(leaps))
         others = np.delete(leaps, slice(max(k - n, 0), k + n + 1)).max(initial=0.0)
-        if others > 0 and leaps[k] > LEAPS * others and _stays(x, k, leaps[k]):
+        means = np.convolve(x, np.full(n, 1 / n), mode="valid")
+        moves = np.abs(np.delete(np.diff(means), slice(max(k - 2 * n, 0), k + n + 1)))
+        least = max(LEAPS * others, MOVES * moves.max(initial=0.0))
+        if others > 0 and leaps[k] > least and _stays(x, k, leaps[k]):
             return k + 1
     return None
 

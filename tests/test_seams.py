@@ -57,6 +57,15 @@ def test_what_leaps_in_a_gap_or_alone_or_comes_back_is_no_seam():
     assert seam(record(glitch)) is None
 
 
+def test_rates_that_begin_at_once_without_noise_are_no_seam():
+    t = STEP * np.arange(N)
+    swing = np.sin(t - 2) * (t > 2)  # the model of an exercise, at rest before
+    y = np.column_stack([0.2 * swing, 0.8 + 0.2 * swing, 20 + swing, 0 * t])
+    assert seam(record(y)) is None
+    y[150:, :3] += [0.02, 0.02, 0.1]  # a few times as much as it moves in a sample
+    assert seam(record(y)) is not None
+
+
 def test_rest_and_short_records_have_none():
     assert seam(record(np.zeros((N, 4)))) is None
     assert seam(record(flown(4, [0, 0, 40, 0], 20))) is None
