@@ -395,7 +395,7 @@ def test_the_best_iterate_of_a_candidate_that_failed_has_no_criterion():
     assert np.isnan(found.aicc).tolist() == [False, True]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_candidates_of_two_processes_are_those_of_one():
     ways = {"time": OutputError(interval=2.0), "frequency": OutputError(domain="frequency")}
     given = {"candidates": dict.fromkeys(ways, TRUTH), "records": RECORDS, "estimator": ways}

@@ -49,7 +49,7 @@ def test_noise_raises_no_alarm(runs):
     assert 0.6 < np.mean([each.excess for each in found]) < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_damping_that_grows_with_rate_is_told_from_noise_and_sized():
     low, shares = OMEGA < 4.0, []
     for seed in (1, 2, 3):

@@ -209,7 +209,7 @@ def test_windows_too_short_or_lossy_are_not_taken_for_inputs_that_move_together(
     assert not any("together" in each for each in said)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_several_windows_are_nearer_over_the_whole_band_than_any_one(swept):
     truth = uh60.oracle().response(OMEGA)
 

@@ -130,7 +130,7 @@ def test_a_start_two_samples_off_passes_all_kinks_on_the_way(hold):
     assert fits[1].cost == pytest.approx(fits[0].cost, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
 def test_a_side_that_is_passed_over_has_nothing_better(monkeypatch):
     honest, above = casid.shooting.spectral_delays._no_better, []
