@@ -27,6 +27,7 @@ from casid.shooting.spectral import Residual, SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 
 ROUNDS = 40  # of solves
+STEADY = 8  # of them, after which the directions of noise under way before records are held
 ROUGH = 1e-4  # tolerance of all but the last
 SETTLED = 2e-2  # standard errors that a round may move the estimates and be the last but one
 TAIL = 0.1  # of the information about a parameter that the rounds before the last may leave out
@@ -70,15 +71,20 @@ class SpectralProgramme:
     """Cost and derivatives of scaled free parameters for spectra held, for IPOPT."""
 
     def __init__(
-        self, residuals: SpectralResiduals, spectra: tuple[NoiseSpectrum, ...], scales: Array
+        self,
+        residuals: SpectralResiduals,
+        spectra: tuple[NoiseSpectrum, ...],
+        scales: Array,
+        outside: tuple[NoiseSpectrum, ...] | None = None,
     ) -> None:
         self.residuals, self.spectra, self.scales = residuals, spectra, scales
+        self.before = spectra if outside is None else outside  # noise under way before records
         lines = residuals.lines
         self.powers = powers(spectra, lines)
         self.weights = [
             each.weight[:, None] / power for each, power in zip(lines, self.powers, strict=True)
         ]
-        self.outside = _outside(spectra, lines)
+        self.outside = _outside(self.before, lines)
         self.n = measurements(lines)
         self._last: tuple[bytes, State | None] = b"", None
 
@@ -164,14 +170,14 @@ class SpectralProgramme:
             return self
         size = np.diag(state.F) * self.scales**2 / self.n
         scales = self.scales / np.sqrt(np.maximum(size, 1.0))
-        other = SpectralProgramme(self.residuals, self.spectra, scales)
+        other = SpectralProgramme(self.residuals, self.spectra, scales, self.before)
         other._last = (lam / scales).tobytes(), state
         return other
 
     def released(self, free: Free) -> "SpectralProgramme":
         """The same under other bounds, which the likelihood does not depend on."""
         residuals = SpectralResiduals(free, self.residuals.lines)
-        other = SpectralProgramme(residuals, self.spectra, self.scales)
+        other = SpectralProgramme(residuals, self.spectra, self.scales, self.before)
         other._last = self._last
         return other
 
@@ -247,29 +253,44 @@ def search(
         return replace(outcome, settled=True)
     rough = replace(options, tolerance=max(ROUGH, options.tolerance))
     spectra, lam, highest, secants = white(lines), start, 0.0, Secants()
+    before = spectra
     if last is None:  # what a poor start leaves is no noise: its spectrum would excuse it
         first = _begun(SpectralProgramme(residuals, spectra, scales), start, rough)
         if first.solution.success:
             last, lam = replace(first, settled=False), first.lam
     while True:
-        state = SpectralProgramme(residuals, spectra, scales).state(lam / scales)
+        state = SpectralProgramme(residuals, spectra, scales, before).state(lam / scales)
         if state is None:
             raise ValueError("the model has a pole on a line of its records' transforms: move it")
         taken = leverages(state.residuals, state.F)
         spectra = noise_spectra(lines, state.residuals, taken)
+        before = _before(spectra, before, last)
         if last is not None and last.settled:
-            outcome = _round(SpectralProgramme(residuals, spectra, scales), lam, last, options)
+            outcome = _round(
+                SpectralProgramme(residuals, spectra, scales, before), lam, last, options
+            )
             return replace(outcome, settled=True)
         highest = max(highest, reach(lines, taken, TAIL))
-        part = residuals.below(highest)
         plan = options if secants.used else rough  # secants are of exact ends
-        last = _round(SpectralProgramme(part, spectra, scales), lam, last, plan)
+        part = SpectralProgramme(residuals.below(highest), spectra, scales, before)
+        last = _round(part, lam, last, plan)
         ahead = np.clip(secants.ahead(lam, last.lam, last.F), *limits)
-        last = replace(last, settled=last.settled and last.rests(ahead - lam))
-        lam = ahead
+        last, lam = replace(last, settled=last.settled and last.rests(ahead - lam)), ahead
         if not last.solution.success or last.rounds >= ROUNDS:
-            whole = SpectralProgramme(residuals, spectra, last.programme.scales)
+            whole = SpectralProgramme(residuals, spectra, last.programme.scales, before)
             return replace(last, programme=whole, settled=False)
+
+
+def _before(
+    spectra: tuple[NoiseSpectrum, ...],
+    before: tuple[NoiseSpectrum, ...],
+    last: SpectralOutcome | None,
+) -> tuple[NoiseSpectrum, ...]:
+    """By which spectra noise was under way before records: held at last.
+
+    Its directions come and go with their variance, and rounds may not settle.
+    """
+    return spectra if last is None or last.rounds < STEADY else before
 
 
 def _begun(programme: SpectralProgramme, start: Array, options: SolverOptions) -> SpectralOutcome:
@@ -278,7 +299,7 @@ def _begun(programme: SpectralProgramme, start: Array, options: SolverOptions) -
     if state is not None:
         highest = reach(residuals.lines, leverages(state.residuals, state.F), TAIL)
         part = residuals.below(highest)
-        programme = SpectralProgramme(part, programme.spectra, programme.scales)
+        programme = SpectralProgramme(part, programme.spectra, programme.scales, programme.before)
     return _round(programme, start, None, options)
 
 
