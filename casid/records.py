@@ -16,6 +16,7 @@ from casid.values import digest
 ATTITUDES = {"p": "phi", "q": "theta"}  # what every rate turns
 SPACING = 0.5  # s: over which turns are compared
 COUNTS, NEAR = {"ms": 1e3, "us": 1e6}, 0.2  # a second in units of time, how near a ratio is to it
+MANOEUVRE = 0.9  # cosine of the sizes of inputs in two flights of one manoeuvre
 ALIKE, FACTOR = 0.8, 15.0  # correlation of these, and ratio that only another unit explains
 
 T = TypeVar("T")
@@ -179,6 +180,16 @@ def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
                 f"{first.name!r} has {first.inputs} -> {first.outputs}; use Record.select"
             )
     return first.inputs, first.outputs
+
+
+def input_levels(sizes: Array) -> tuple[Array, Array]:
+    """How large all inputs of every record are together (n,), of sizes (n, nu), each by its most.
+
+    And the cosines of two records' inputs (n, n): above `MANOEUVRE` they fly the same one.
+    """
+    share = sizes / np.maximum(sizes.max(axis=0), 1e-300)
+    level = np.linalg.norm(share, axis=1)
+    return level, share @ share.T / np.maximum(np.outer(level, level), 1e-300)
 
 
 def same_interval(one: Record, other: Record) -> bool:

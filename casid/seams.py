@@ -66,7 +66,7 @@ def _leap(t: Array, x: Array) -> int | None:
         means = np.convolve(x, np.full(n, 1 / n), mode="valid")
         moves = np.abs(np.delete(np.diff(means), slice(max(k - 2 * n, 0), k + n + 1)))
         least = max(LEAPS * others, MOVES * moves.max(initial=0.0))
-        if others > 0 and leaps[k] > least and _stays(x, k, leaps[k]):
+        if leaps[k] > least and _stays(x, k, leaps[k]):
             return k + 1
     return None
 

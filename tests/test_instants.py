@@ -92,6 +92,18 @@ def test_a_clock_that_stepped_back_twice_is_told_as_that():
     assert "add 0.1 s to all instants that follow (at each place its own)" in said
 
 
+def test_a_clock_that_steps_back_soon_after_the_start_is_no_second_flight():
+    t = clock(0.0)
+    t[17:] -= 0.06
+    assert "stepped back by 0.06 s" in refused(t)
+
+
+def test_a_few_samples_at_the_instant_of_the_one_before_are_let_through():
+    t, x = clock(0.0), np.random.default_rng(3).normal(size=(N, 2))
+    t[[50, 90]] = t[[49, 89]]
+    check_time("flight", t, x)
+
+
 def test_time_that_is_rounded_or_stands_or_is_none():
     t = clock(0.0)
     rounded = np.repeat(t[:200], 2)

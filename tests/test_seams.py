@@ -66,6 +66,12 @@ def test_rates_that_begin_at_once_without_noise_are_no_seam():
     assert seam(record(y)) is not None
 
 
+def test_an_estimator_that_is_set_anew_at_rest_is_told():
+    anew = np.zeros((N, 4))
+    anew[300:] = [0.3, 0.2, 8.0, 0.0]
+    assert seam(record(anew)) == (pytest.approx(300 * STEP), ("phi", "theta", "u"))
+
+
 def test_rest_and_short_records_have_none():
     assert seam(record(np.zeros((N, 4)))) is None
     assert seam(record(flown(4, [0, 0, 40, 0], 20))) is None

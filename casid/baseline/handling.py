@@ -95,11 +95,7 @@ class HandlingQualities(Shown):
     def headline(self) -> str:
         """What was read off."""
         if self.kind == "loop":
-            verdict = {
-                True: "satisfactory",
-                False: "not satisfactory",
-                None: "not all in the band",
-            }
+            verdict = {True: "satisfactory", False: "not satisfactory", None: "not all in the band"}
             said = f"{self.output}/{self.input}, open loop, margins {verdict[self.satisfactory]}"
             return said + self._presumed() * (self.satisfactory is True)
         delay = "" if np.isnan(self.phase_delay) else f", phase delay {self.phase_delay:.3f} s"

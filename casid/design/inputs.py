@@ -344,10 +344,8 @@ def _blind(seen: Identifiability, made: Design, *, derived: bool) -> tuple[str, 
     if derived and unseen:
         lines.insert(
             0,
-            (
-                f"no output depends on {listed(unseen)} here: {elsewhere}; fix or drop those "
-                "that act nowhere"
-            ),
+            f"no output depends on {listed(unseen)} here: {elsewhere}; fix or drop those that act "
+            "nowhere",
         )
     if known := [name for name in seen.insensitive if name in told]:
         also = f"; {elsewhere}" * derived

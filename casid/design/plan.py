@@ -258,7 +258,7 @@ class Design(Shown):
             (alone, "No card avoids that: filter the feedback signals"),
             (
                 [n for n in over if n not in alone],
-                ("Filter the feedback signals, fly a smaller card"),
+                "Filter the feedback signals, fly a smaller card",
             ),
         ):
             told = [f"{n} {over[n]:.0%} (alone {self.used_by_noise[n]:.0%})" for n in names]

@@ -24,7 +24,7 @@ from casid.frequency.estimation import SpectralAnalysis
 from casid.frequency.leakage import over_three
 from casid.frequency.response import FED_BACK, FrequencyResponse
 from casid.record import Record
-from casid.records import Records, same_channels, stretches
+from casid.records import MANOEUVRE, Records, input_levels, same_channels, stretches
 from casid.slow_sources import repeats_known, tell_repeats
 from casid.values import storable
 
@@ -35,7 +35,6 @@ TOGETHER = 10.0  # that of a change alike at many frequencies, of two degrees of
 FED = 2.0  # times as much where noise is fed back
 PARTS = 3  # of a pair's frequencies, whose change is asked by itself
 FEWEST = 5  # frequencies of a pair
-ALIKE = 0.9  # cosine of the inputs' sizes in two flights of one manoeuvre
 LINEAR = 25.0  # square of one of them, up to which it counts: single points prove nothing
 
 
@@ -179,13 +178,11 @@ def _by_amplitude(
 ) -> tuple[tuple[list[Record], list[Record]], tuple[Array, Array]]:
     """Records of smaller and of larger inputs, and the root mean squares of these (nu,)."""
     size = np.array([np.std(record.u, axis=0) for record in records])
-    share = size / np.maximum(size.max(axis=0), 1e-300)
-    level = np.linalg.norm(share, axis=1)
-    share = share / np.maximum(level, 1e-300)[:, None]
+    level, cosine = input_levels(size)
     groups: tuple[list[int], list[int]] = ([], [])
     left = list(range(len(records)))
     while left:
-        own = [k for k in left if share[k] @ share[left[0]] > ALIKE]
+        own = [k for k in left if cosine[left[0], k] > MANOEUVRE]
         left = [k for k in left if k not in own]
         smallest, largest = level[own].min(), level[own].max()
         if largest < RATIO * smallest:

@@ -7,8 +7,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.record import Record
+from casid.records import MANOEUVRE, input_levels
 
-ALIKE = 0.9  # cosine of the inputs' sizes in two records that move them alike
 RATIO, SAME = 1.2, 1.05  # of two amplitudes that differ, of those that do not
 
 
@@ -27,7 +27,7 @@ def sides(flown: Sequence[Record]) -> Sides | None:
     level, cosine = _levels(flown)
     left, smaller, larger = list(range(len(flown))), [], []
     while left:
-        mine = sorted((k for k in left if cosine[left[0], k] > ALIKE), key=lambda k: level[k])
+        mine = sorted((k for k in left if cosine[left[0], k] > MANOEUVRE), key=lambda k: level[k])
         left = [k for k in left if k not in mine and k != left[0]]
         if at := _parted(np.array([level[k] for k in mine])):
             smaller += mine[:at]
@@ -38,7 +38,7 @@ def sides(flown: Sequence[Record]) -> Sides | None:
 def end(flown: Sequence[Record], i: int) -> str:
     """Whether a record has the largest or the smallest inputs of those that move them alike."""
     level, cosine = _levels(flown)
-    alike = level[cosine[i] > ALIKE]
+    alike = level[cosine[i] > MANOEUVRE]
     if not len(alike) or alike.max() < RATIO * alike.min():
         return ""
     if level[i] * SAME >= alike.max():
@@ -47,11 +47,8 @@ def end(flown: Sequence[Record], i: int) -> str:
 
 
 def _levels(flown: Sequence[Record]) -> tuple[Array, Array]:
-    """How large all inputs of every record are together (n,), and how alike two are (n, n)."""
-    sizes = np.array([np.ptp(record.u, axis=0) for record in flown])
-    share = sizes / np.maximum(sizes.max(axis=0), 1e-300)
-    level = np.linalg.norm(share, axis=1)
-    return level, share @ share.T / np.maximum(np.outer(level, level), 1e-300)
+    """Sizes of all records (n,), and how alike the inputs of two are (n, n)."""
+    return input_levels(np.array([np.ptp(record.u, axis=0) for record in flown]))
 
 
 def _parted(level: Array) -> int:

@@ -75,10 +75,10 @@ class SpectralProgramme:
         residuals: SpectralResiduals,
         spectra: tuple[NoiseSpectrum, ...],
         scales: Array,
-        outside: tuple[NoiseSpectrum, ...] | None = None,
+        before: tuple[NoiseSpectrum, ...] | None = None,
     ) -> None:
         self.residuals, self.spectra, self.scales = residuals, spectra, scales
-        self.before = spectra if outside is None else outside  # noise under way before records
+        self.before = spectra if before is None else before  # of noise under way before records
         lines = residuals.lines
         self.powers = powers(spectra, lines)
         self.weights = [
@@ -240,7 +240,8 @@ def search(
 ) -> SpectralOutcome:
     """Rounds of solves from free values (nf,); one, if the spectra are known and held.
 
-    The first is warm if the start is hardly off the end of a ``last`` one.
+    The first is warm if the start is hardly off the end of a ``last`` one, whose spectra are those
+    held, if any are.
 
     All but the last take only lines that carry information; without a ``last`` one the first weighs
     them alike. Slow ones are accelerated. ValueError: a start without residuals.
@@ -249,11 +250,11 @@ def search(
     lines, free = residuals.lines, residuals.free
     scales, limits = free.scale[free.index], (free.lower[free.index], free.upper[free.index])
     if held is not None:
-        outcome = _round(SpectralProgramme(residuals, held, scales), start, last, options)
-        return replace(outcome, settled=True)
+        own = None if last is None else last.programme.before
+        return _settled(SpectralProgramme(residuals, held, scales, own), start, last, options)
     rough = replace(options, tolerance=max(ROUGH, options.tolerance))
     spectra, lam, highest, secants = white(lines), start, 0.0, Secants()
-    before = spectra
+    before = spectra if last is None else last.programme.before
     if last is None:  # what a poor start leaves is no noise: its spectrum would excuse it
         first = _begun(SpectralProgramme(residuals, spectra, scales), start, rough)
         if first.solution.success:
@@ -266,10 +267,8 @@ def search(
         spectra = noise_spectra(lines, state.residuals, taken)
         before = _before(spectra, before, last)
         if last is not None and last.settled:
-            outcome = _round(
-                SpectralProgramme(residuals, spectra, scales, before), lam, last, options
-            )
-            return replace(outcome, settled=True)
+            whole = SpectralProgramme(residuals, spectra, scales, before)
+            return _settled(whole, lam, last, options)
         highest = max(highest, reach(lines, taken, TAIL))
         plan = options if secants.used else rough  # secants are of exact ends
         part = SpectralProgramme(residuals.below(highest), spectra, scales, before)
@@ -317,6 +316,13 @@ def _round(
     solution = programme.solve(lam / scales, options, rounds, warm)
     end = SpectralOutcome(programme, solution, iterations + solution.iterations, rounds, False)
     return replace(end, settled=end.rests(end.lam - lam))
+
+
+def _settled(
+    programme: SpectralProgramme, lam: Array, last: SpectralOutcome | None, options: SolverOptions
+) -> SpectralOutcome:
+    """The last solve, its spectra known."""
+    return replace(_round(programme, lam, last, options), settled=True)
 
 
 def white(lines: list[Lines], R: Array | None = None) -> tuple[NoiseSpectrum, ...]:

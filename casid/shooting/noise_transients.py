@@ -68,12 +68,12 @@ def directions(omega: Array, power: Array, dt: float, N: int) -> Array:
     H: ComplexArray = np.exp(scipy.fft.rfft(causal)).astype(complex)
     inverse: ComplexArray = 1 / H
     h = scipy.fft.irfft(H, n)
-    h[0], h[half:] = 0.0, 0.0  # m ≥ 1
+    h[half:] = 0.0
     carried, past = scipy.fft.rfft(h), _basis(_pasts(half))
     for _ in range(SWEEPS):
         white = _basis(_filtered(inverse, _met(carried, past)))
         past = _met(carried, _filtered(inverse.conj(), white))
-        past[:, 0] = 0.0
+        past[:, 0] = 0.0  # m ≥ 1
         past = _basis(past)
     future = _met(carried, past)
     axes, sizes, _ = np.linalg.svd(_filtered(inverse, future), full_matrices=False)

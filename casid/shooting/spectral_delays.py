@@ -119,7 +119,8 @@ def _no_better(outcome: SpectralOutcome, residuals: SpectralResiduals, start: Ar
     """
     if (start == outcome.lam).all():
         return True
-    programme = SpectralProgramme(residuals, outcome.programme.spectra, outcome.programme.scales)
+    own = outcome.programme
+    programme = SpectralProgramme(residuals, own.spectra, own.scales, own.before)
     state = programme.state(start / programme.scales)
     if state is None:
         return False

@@ -1,10 +1,13 @@
 """Noise and nonlinear distortion told apart by two amplitudes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from casid import FrequencyResponse, Record, distortion, frequency_response
 from casid.frequency.distortion import TOGETHER, _difference
+from casid.frequency.response import FED_BACK
 
 OMEGA = np.geomspace(1.0, 12.0, 20)
 DT = 0.04
@@ -101,6 +104,13 @@ def test_a_gain_and_its_error_are_those_of_a_weighed_mean():
     expected = np.abs(np.sum(mean.conj() * apart / std**2) / size) ** 2 / 2
     assert together[0, 0] == pytest.approx(expected, rel=0.3)  # rest of twelve may count more
     assert least[0, 0] == pytest.approx(np.sqrt(2 * TOGETHER) / size, rel=0.3)
+    # Where noise is fed back what differs counts half, and a gain shows from √2 times as much on.
+    fed = replace(low, flags={FED_BACK.format("u"): (0,)}), high
+    _, plain, *_ = _difference(low, high, np.ones((K, 1, 1), dtype=bool))
+    _, half, less, more = _difference(*fed, np.ones((K, 1, 1), dtype=bool))
+    assert half == pytest.approx(plain / 2)
+    assert less == pytest.approx(together / 2)
+    assert more == pytest.approx(np.sqrt(2) * least)
 
 
 def test_one_amplitude_is_refused_by_the_name_of_the_manoeuvre():

@@ -190,4 +190,4 @@ def test_by_how_much_errors_are_those_of_scatter_is_told_whatever_an_estimate_mo
         tell(found._replace(whole=Heterogeneity(80.0, 3)), flights, ["Lp"])
     with pytest.warns(DataWarning, match=": r1 and r0 .*flight condition") as caught:
         tell(found._replace(which=(1,), wider=np.array([1.1])), flights[:2], ["Lp"])
-    assert "records scatter" not in str(caught[0].message)
+    assert "scatter between records" not in str(caught[0].message)

@@ -32,6 +32,18 @@ def test_first_order_noise_leaves_one_decay(pole):
     np.testing.assert_allclose(np.abs(found[0]), decay, atol=0.02 * decay[0])
 
 
+def test_a_signal_longer_than_the_record_is_on_its_lines_as_a_whole():
+    rng = np.random.default_rng(5)
+    t, y = DT * np.arange(60), rng.standard_normal((60, 2))
+    (lines,) = transformed([Record(t, y[:, :1], y, ("u",), ("a", "b"))])
+    shapes = rng.standard_normal((2, 3, 150))
+    found = on_lines(lines, shapes)
+    assert found.output == (0, 0, 0, 1, 1, 1)
+    powers = lines.z[:, None] ** -np.arange(150.0)
+    expected = powers @ shapes.reshape(6, 150).T / np.sqrt(60)
+    np.testing.assert_allclose(found.columns, expected, atol=1e-10)
+
+
 def test_white_noise_leaves_nothing():
     assert not directions(OMEGA, np.full(len(OMEGA), 3.0), DT, N).size
 

@@ -6,6 +6,7 @@ import pytest
 from casid.shooting.amplitudes import Sides
 from casid.shooting.hausman import Source
 from casid.shooting.outlying_records import RARELY, Records, discord, parted, scattered
+from casid.shooting.spectral_homogeneity import Opposed
 
 NF = 2
 
@@ -135,6 +136,36 @@ def test_halves_of_the_records_that_contradict_each_other_are_told_by_their_inpu
     # Records that scatter across sizes are not told by them.
     assert parted(made, Sides((0, 2), (1, 3)), None) is None
     assert parted(made, None, None) is None
+
+
+def exact(*values):
+    """Records of the first parameter without noise, of information 40 each."""
+    J = [np.sqrt(20) * np.array([[1.0, 1.0], [1.0, -1.0]]) for _ in values]
+    return J, [j @ [value, 2.0] for j, value in zip(J, values, strict=True)]
+
+
+def test_sides_are_told_where_they_are_beyond_chance_and_most_of_what_differs():
+    at = Sides((0, 1), (2, 3))
+    # Of two means of two, χ² is 40 d².
+    told = parted(records(*exact(0, 0, 0.8, 0.8)), at, None)
+    assert told.off.square == pytest.approx(40 * 0.8**2)
+    assert parted(records(*exact(0, 0, 0.35, 0.35)), at, None) is None  # χ² of 4.9
+    assert parted(records(*exact(0, 2.4, 1.4, 3.8)), at, None) is None  # 78 of 309
+
+
+def test_errors_widen_for_what_only_sides_show():
+    made = records(*exact(0, 0, 0.65, 0.65))
+    assert scattered(made, RARELY) is None
+    for at, wide in ((Sides((0, 1), (2, 3)), True), (Sides((0, 2), (1, 3)), False), (None, False)):
+        assert Opposed(made, None, None, [], at, None).scatter is wide
+
+
+def test_scores_that_scatter_more_than_their_information_says_count_for_less():
+    made = records(*flown((1, 2), (1, 3), (2, 2), (1, 2)))
+    loud = made._replace(sources=[each._replace(S=4 * each.F) for each in made.sources])
+    assert loud.heterogeneity().square == pytest.approx(made.heterogeneity().square / 4)
+    quiet = made._replace(sources=[each._replace(S=each.F / 4) for each in made.sources])
+    assert quiet.heterogeneity().square == pytest.approx(made.heterogeneity().square)
 
 
 def test_one_record_at_fault_is_told_rather_than_its_side():

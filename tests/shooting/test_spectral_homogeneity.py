@@ -206,6 +206,13 @@ def test_chance_is_told_as_seldom_as_said(colour, lag, loud):
     assert wide <= (100 if lag else 1)
 
 
+@pytest.mark.second
+def test_spectra_settle_where_directions_of_noise_under_way_come_and_go():
+    fit, said = told(flown([10.0] * 4, (9, 1)))  # a ConvergenceError where they are not held
+    assert fit.success
+    assert said == []
+
+
 def scatter(records):
     """Covariances of the scores of every record at the estimate of all."""
     fit = output_error(Banking(), records, domain="frequency", R=R)

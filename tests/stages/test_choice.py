@@ -101,6 +101,7 @@ def test_the_one_with_the_smallest_errors_is_chosen_the_first_of_equals():
     assert "b equal within errors (-1 ± " in close.headline()
     alike = chosen(comparison([[0.001, -0.002, 0.001], [0.0, 0.0, 0.0005]]))
     assert "at least" not in alike.headline()
+    assert chosen(replace(comparison([[0.1] * 3, [0.0] * 3]), noise=np.full(3, 0.99))).hidden
     least = ", at least: errors are below the noise"
     assert replace(alike, hidden=True).headline() == alike.headline() + least
     assert "b equal within errors (+0.0 ± 0.1 %)" in alike.headline()  # no errors of nothing

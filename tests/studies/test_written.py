@@ -42,6 +42,8 @@ def test_a_study_is_the_same_however_its_path_is_spelled_and_wherever_it_lies(
     for folder, spelled in ((tmp_path, "a/study.toml"), (tmp_path / "a" / "b", "../study.toml")):
         monkeypatch.chdir(folder)
         assert origin(read_study(spelled)) == there
+    (tmp_path / "link").symlink_to(tmp_path / "a" / "b", target_is_directory=True)
+    assert origin(read_study(tmp_path / "link" / ".." / "study.toml")) == there
     shutil.copytree(tmp_path / "a", tmp_path / "moved")
     assert origin(read_study(tmp_path / "moved" / "study.toml")) == there
     flight = next(tmp_path.glob("a/*.csv"))

@@ -35,6 +35,19 @@ def test_a_discrete_pole_on_the_negative_axis_has_no_continuous_equivalent():
 
 
 @pytest.mark.second
+def test_records_of_two_intervals_are_refused():
+    plant, rng = unstable_plant(), np.random.default_rng(0)
+    records = []
+    for h in (0.02, 0.0201):
+        t = h * np.arange(200)
+        u = rng.standard_normal((200, plant.nu))
+        y = rng.standard_normal((200, plant.ny))
+        records.append(Record(t, u, y, plant.inputs, plant.outputs))
+    campaign = Campaign.of(records, feedthrough=False)
+    with pytest.raises(ValueError, match="equidistant records of one interval and one hold"):
+        refine_held(plant, np.zeros((plant.nx, plant.ny)), campaign)
+
+
 def test_direct_terms_that_stand_for_fast_dynamics_go_into_the_rest_of_the_model():
     # Below 8 rad/s a free direct term can hardly be told from what the pole at -40 does.
     A = [[-0.8, 2.0, 0.0], [-2.0, -0.8, 0.0], [0.0, 0.0, -40.0]]
