@@ -69,13 +69,14 @@ def _descent(
     best: SpectralOutcome,
     left: list[Array],
 ) -> SpectralOutcome:
-    """Where moves across kinks from an end lead, that are ``left`` behind one by one."""
+    """Where moves across kinks from an end lead; the solutions ``left`` on the way join these."""
     for _ in range(MOVES):
         outcome = best
         best = _beside(free, lines, options, outcome, held, left)
         if best is outcome:
             break
-        left.append(outcome.lam)
+        if done(outcome):  # else the side it ended in, on a kink, may be the better one
+            left.append(outcome.lam)
         LOG.info("output error, delays across whole samples: %.6g, better", likelihood(best))
     return best
 

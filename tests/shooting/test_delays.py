@@ -273,16 +273,16 @@ def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
     assert fit.cost == pytest.approx(held.cost, abs=0.01)
 
 
-@pytest.mark.repeats(1)
+@pytest.mark.repeats(2)
 @pytest.mark.second
 @pytest.mark.parametrize(
     ("structure", "tau", "start", "domain"),
     [
         (Twice, 0.083, 0.083, "time"),
+        (Twice, 0.0753, 0.185, "frequency"),
         pytest.param(Twice, 0.077, 0.05, "time", marks=pytest.mark.campaign),
         pytest.param(Longer, 0.087, 0.05, "time", marks=pytest.mark.slow),
         pytest.param(Against, 0.071, 0.11, "time", marks=pytest.mark.campaign),
-        pytest.param(Twice, 0.0753, 0.185, "frequency", marks=pytest.mark.slow),
     ],
 )
 def test_a_parameter_of_several_delays_is_found_between_the_whole_samples_of_all(
