@@ -429,7 +429,7 @@ def test_velocities_are_turned_by_attitudes_that_are_late_no_more(
     assert slope == pytest.approx(0.0, abs=12.0 * 0.005 + 4 * 0.05 / (r.std() * len(r) ** 0.5))
     assert ("turned from north, east, down" in " ".join(draft.assumed)) == bool(late)
     text = draft.study.read_text()
-    assert ("inputs stay, so their delays to phi, theta, psi" in text) == bool(late)
+    assert ("inputs stay, so that their delays to phi, theta, psi" in text) == bool(late)
     said = kinematic_check([each.record for each in draft.stretches]).remarks
     assert not any("accelerometers" in each for each in said)
     # The study's own rule on the same records.
