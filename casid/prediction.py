@@ -306,6 +306,12 @@ class RecordPredictor:
         z[n, ns:, 1 + ns :] = np.eye(nx - ns)
         slow = [Ad[:ns, :ns] for Ad in maps]
         fast = [np.linalg.inv(Ad[ns:, ns:]) for Ad in maps]
+        if n and (which == which[0]).all():
+            k = which[0]
+            z[:, :ns, 1 : 1 + ns], z[:, :ns, 0] = _carried(slow[k], forcing[:, :ns])
+            back, driven = _carried(fast[k], -(forcing[:, ns:] @ fast[k].T)[::-1])
+            z[:, ns:, 1 + ns :], z[:, ns:, 0] = back[::-1], driven[::-1]
+            return np.asarray(V @ z)
         for k in range(n):
             z[k + 1, :ns] = slow[which[k]] @ z[k, :ns]
             z[k + 1, :ns, 0] += forcing[k, :ns]
@@ -314,6 +320,27 @@ class RecordPredictor:
             ahead[:, 0] -= forcing[k, ns:]
             z[k, ns:] = fast[which[k]] @ ahead
         return np.asarray(V @ z)
+
+
+def _carried(A: Array, f: Array) -> tuple[Array, Array]:
+    """Powers of A (m, m), from 0 to n, and x_{k+1} = A x_k + f_k from x_0 = 0: f is (n, m).
+
+    In blocks of √n steps, all at once.
+    """
+    (n, m), b = f.shape, max(1, int(np.sqrt(len(f))))
+    powers, ahead = np.eye(m)[None], A
+    while len(powers) <= n:
+        powers, ahead = np.concatenate([powers, powers @ ahead]), ahead @ ahead
+    count = -(-n // b)
+    driven, x = np.zeros((count, b, m)), np.zeros((count, b + 1, m))
+    driven.reshape(count * b, m)[:n] = f
+    for j in range(b):
+        x[:, j + 1] = x[:, j] @ A.T + driven[:, j]
+    begin = np.zeros((count, m))
+    for i in range(count - 1):
+        begin[i + 1] = powers[b] @ begin[i] + x[i, b]
+    whole = x[:, 1:] + (begin @ powers[1 : b + 1].swapaxes(1, 2)).swapaxes(0, 1)
+    return powers[: n + 1], np.concatenate([np.zeros((1, m)), whole.reshape(count * b, m)[:n]])
 
 
 def _split(system: StateSpace, span: float) -> tuple[Array, int]:

@@ -282,3 +282,22 @@ def test_a_prediction_of_a_stable_model_starts_from_its_own_state():
     np.testing.assert_allclose(found.x0, x0, atol=1e-9)
     np.testing.assert_allclose(found.b, [0.2, -0.1], atol=1e-9)
     np.testing.assert_allclose(found.y, y, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [-0.3, 0.05, 3.0])
+@pytest.mark.parametrize("N", [2, 3, 50, 1500])
+def test_responses_from_both_ends_obey_the_model_and_stay_small(rate, N):
+    system, record = with_spurious(rate), flown().take(slice(0, N))
+    follower = RecordPredictor(system, record, np.ones(2))
+    z = follower._states()
+    ahead = follower.steps.maps[0] @ z[:-1]
+    ahead[:, :, 0] += follower.steps.forcing
+    np.testing.assert_allclose(z[1:], ahead, atol=1e-11)
+    assert np.abs(z).max() < 5.0
+    # The same step by step, as where samples are uneven.
+    follower.steps = replace(
+        follower.steps,
+        maps=[*follower.steps.maps, follower.steps.maps[0]],
+        which=np.arange(N - 1) % 2,
+    )
+    np.testing.assert_allclose(follower._states(), z, atol=1e-11)

@@ -21,9 +21,10 @@ from casid.assembly import evaluated
 from casid.free import Free
 from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.anderson_acceleration import Secants
+from casid.shooting.line_residuals import Residual, information
 from casid.shooting.lines import Lines
 from casid.shooting.noise_transients import Outside, directions, on_lines
-from casid.shooting.spectral import Residual, SpectralResiduals
+from casid.shooting.spectral import SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 
 ROUNDS = 40  # of solves
@@ -65,6 +66,12 @@ class State:
     cost: float  # ½ Σ w |E|²/Φ, and of prior values
     F: Array  # (nf, nf) information
     g: Array  # (nf,) gradient
+    alone: Array  # (nf,) information were all else known, transients too
+
+    @cached_property
+    def taken(self) -> list[Array]:
+        """What is taken of the lines' freedom, as `leverages` has it."""
+        return leverages(self.residuals, self.F)
 
 
 class SpectralProgramme:
@@ -101,9 +108,11 @@ class SpectralProgramme:
         except np.linalg.LinAlgError:
             return None
         off, pull = self.residuals.free.prior_residuals(lam)
-        F, g = (np.sum([getattr(each, part) for each in found], axis=0) for part in ("F", "g"))
+        known, F = information(found)
+        g = np.sum([each.g for each in found], axis=0) + pull.T @ off
         cost = sum(each.cost for each in found) + float(off @ off) / 2
-        return State(found, cost, F + pull.T @ pull, g + pull.T @ off)
+        alone = np.diag(known) + np.sum(pull**2, axis=0)
+        return State(found, cost, F + pull.T @ pull, g, alone)
 
     def likelihood(self, x: Array) -> float:
         """Negative log-likelihood, less its constant ½ n log 2π."""
@@ -263,7 +272,7 @@ def search(
         state = SpectralProgramme(residuals, spectra, scales, before).state(lam / scales)
         if state is None:
             raise ValueError("the model has a pole on a line of its records' transforms: move it")
-        taken = leverages(state.residuals, state.F)
+        taken = state.taken
         spectra = noise_spectra(lines, state.residuals, taken)
         before = _before(spectra, before, last)
         if last is not None and last.settled:
@@ -296,7 +305,7 @@ def _begun(programme: SpectralProgramme, start: Array, options: SolverOptions) -
     """The first round, on the lines that tell of the start."""
     state, residuals = programme.state(start / programme.scales), programme.residuals
     if state is not None:
-        highest = reach(residuals.lines, leverages(state.residuals, state.F), TAIL)
+        highest = reach(residuals.lines, state.taken, TAIL)
         part = residuals.below(highest)
         programme = SpectralProgramme(part, programme.spectra, programme.scales, programme.before)
     return _round(programme, start, None, options)

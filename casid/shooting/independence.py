@@ -25,9 +25,9 @@ from scipy.special import gammaincc
 from casid.arrays import Array, ComplexArray
 from casid.display import listed
 from casid.errors import warn
+from casid.shooting.line_residuals import Residual
 from casid.shooting.lines import Lines
-from casid.shooting.spectral import Residual
-from casid.shooting.spectrum import NoiseSpectrum, leftover, leverages, powers
+from casid.shooting.spectrum import NoiseSpectrum, leftover, powers
 
 WIDTH = 1.5  # ratio of a band's ends, at least
 HOLDS = 0.02  # of the information, in bands that count
@@ -48,14 +48,16 @@ def warn_of_missed(
     method: str,
     lines: Sequence[Lines],
     residuals: Sequence[Residual],
-    F: Array,
+    taken: Sequence[Array],
     spectra: Sequence[NoiseSpectrum],
 ) -> bool:
-    """Tell of outputs whose residuals surely follow the inputs; F (nf, nf) is the information.
+    """Tell of outputs whose residuals surely follow the inputs; ``taken`` by `leverages`.
 
     Whether there are any.
     """
-    found = dict(zip(lines[0].record.outputs, followed(lines, residuals, F, spectra), strict=True))
+    found = dict(
+        zip(lines[0].record.outputs, followed(lines, residuals, taken, spectra), strict=True)
+    )
     missed = {
         name: each.share
         for name, each in found.items()
@@ -75,11 +77,10 @@ def warn_of_missed(
 def followed(
     lines: Sequence[Lines],
     residuals: Sequence[Residual],
-    F: Array,
+    taken: Sequence[Array],
     spectra: Sequence[NoiseSpectrum],
 ) -> list[Followed]:
     """What of every output's residuals follows the inputs."""
-    taken = leverages(residuals, F)
     left, power = leftover(lines, residuals, taken), powers(spectra, lines)
     omega, U = (np.concatenate(part) for part in zip(*map(_inputs, lines), strict=True))
     bands = _bands(omega, U.shape[1] + SPARE)

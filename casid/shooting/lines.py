@@ -10,13 +10,13 @@ signals of `casid.intersample.DelayedInput`, transformed, stand behind one anoth
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
-from casid.intersample import DelayedInput
+from casid.intersample import ROUNDING, DelayedInput, delayed_input
 from casid.record import Record
 from casid.records import same_interval
 
@@ -37,6 +37,7 @@ class Lines:
     weight: Array  # (K,) how many of two conjugate lines it stands for: 2, 1 at Nyquist's
     Y: ComplexArray  # (K, ny), 0 where the output was not measured
     seen: BoolArray  # (ny,) outputs that were
+    inputs: "HeldLines" = field(repr=False)
 
     def below(self, omega: float) -> "Lines":
         """The same up to a frequency [rad/s], or its first few lines."""
@@ -85,14 +86,49 @@ def _lines(record: Record, kind: int) -> Lines:
     angle = 2 * np.pi * k / N
     weight = np.where(2 * k == N, 1.0, 2.0)
     held = replace(record, y=whole.y)
-    return Lines(held, record.dt, kind, np.exp(1j * angle), angle / record.dt, weight, Y, seen)
+    return Lines(
+        held, record.dt, kind, np.exp(1j * angle), angle / record.dt, weight, Y, seen,
+        HeldLines(held),
+    )  # fmt: skip
 
 
-def held_lines(held: DelayedInput, n: int, count: int) -> tuple[ComplexArray, Array]:
-    """Value, slope and jump of every delayed input on ``count`` lines, (K, 3 nu), its rest [s].
+class HeldLines:
+    """Delayed inputs of one record on its lines.
 
-    ``n`` is the number of samples. In an equidistant record the breaks of one input lie equally far
-    before the next sample: the rest, (nu,), 0 where there is none.
+    Between two whole numbers of samples they are linear in the delay: transformed once there.
+    """
+
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self._kept: tuple[bytes, ComplexArray, Array] | None = None
+        t, k = record.t, np.arange(record.N)
+        h = (t[-1] - t[0]) / (record.N - 1)
+        self._step = float(h) if np.abs(t - t[0] - h * k).max() <= ROUNDING * h / 4 else None
+
+    def at(self, tau: Array, within: Array, count: int) -> tuple[ComplexArray, Array]:
+        """Value, slope and jump of every delayed input on ``count`` lines (K, 3 nu), its rest [s].
+
+        Delayed by tau (nu,) [s], breaks and samples in the order that they have ``within``.
+        """
+        record, h = self._record, self._step
+        if h is None or (within < 0).any():
+            held = delayed_input(record.t, record.u, tau, record.hold, within)
+            return _transformed(held, record.N, count)
+        end = h * np.ceil(within / h - ROUNDING)
+        if self._kept is None or self._kept[0] != end.tobytes():
+            held = delayed_input(record.t, record.u, end, record.hold, within)
+            self._kept = end.tobytes(), *_transformed(held, record.N, record.N)
+        _, whole, rest = self._kept
+        nu, S, earlier = len(tau), whole[:count].copy(), end - tau
+        S[:, :nu] += S[:, nu : 2 * nu] * earlier
+        return S, rest + earlier
+
+
+def _transformed(held: DelayedInput, n: int, count: int) -> tuple[ComplexArray, Array]:
+    """On ``count`` lines of ``n`` samples, but that of zero.
+
+    In an equidistant record the breaks of one input lie equally far before the next sample: the
+    rest, (nu,), 0 where there is none.
     """
     nu = held.value.shape[1]
     jumps, rest = np.zeros((n, nu)), np.zeros(nu)

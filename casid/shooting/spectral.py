@@ -12,100 +12,31 @@ enters linearly and is eliminated (variable projection: Golub and Pereyra 1973);
 does that was under way before (`casid.shooting.noise_transients`), which has a variance.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free
-from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slopes
+from casid.intersample import ORDER, integral_slopes
+from casid.model import Model
 from casid.shooting.delayed_inputs import LATE
-from casid.shooting.lines import Lines, held_lines
-from casid.shooting.noise_transients import DOUBTED, Outside
-
-PORTION = 200  # lines whose derivatives are held at once, in the processor's cache
-RANK = 1e-13  # eigenvalue of the transient's information, to unit diagonal, that counts as zero
-
-
-@dataclass(frozen=True, eq=False)
-class _Factors:
-    """Of the weighed derivatives of one record's model, real and imaginary parts as halves."""
-
-    Z: Array  # (K, 2, nz) states and signals
-    through: Array  # (K, 2 ny, 2 nx) outputs by the states that follow, weighed
-    weight: Array  # (K, ny) of what acts at once
-    states_lam: Array  # (nz, nx nf) what follows from Z, by λ
-    outputs_lam: Array  # (nz, ny, nf) what acts at once, by λ
-    beside: Array  # (K, 2, ny, m + 1) derivatives by d times a root of its covariance; residuals
-
-    def portions(self) -> Iterator[tuple[slice, Array]]:
-        """One portion of the lines after the other, rows (k, 2, ny, nf + m + 1): by λ, beside."""
-        (K, _, ny, _), n, nz = self.beside.shape, self.outputs_lam.shape[2], len(self.states_lam)
-        direct = np.flatnonzero(self.outputs_lam.any(axis=(0, 2)))
-        for at in (slice(k, k + PORTION) for k in range(0, K, PORTION)):
-            Z, beside = self.Z[at].reshape(-1, nz), self.beside[at]
-            rows = np.empty((len(beside), 2, ny, n + beside.shape[3]))
-            moved = (Z @ self.states_lam).reshape(len(beside), -1, n)
-            np.matmul(self.through[at], moved, out=rows.reshape(len(rows), 2 * ny, -1)[..., :n])
-            for i in direct:
-                own = (Z @ self.outputs_lam[:, i]).reshape(-1, 2, n)
-                rows[:, :, i, :n] += own * self.weight[at, None, i, None]
-            rows[..., n:] = beside
-            yield at, rows
-
-
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """Weighed residuals of one record's lines and their normal equations, transient eliminated.
-
-    The transient d (m,), x_0 − x_N and noise from outside, minimises the sum of squares.
-    """
-
-    E: ComplexArray  # (K, ny) measured less the model, 0 where not measured
-    factors: _Factors
-    follow: Array  # (m, nf) what of the derivatives by d, orthonormal, is in those by λ
-    cost: float  # half the weighed sum of squares
-    F: Array  # (nf, nf) information
-    g: Array  # (nf,) gradient of the cost
-    alone: Array  # (nf,) information were the transient known
-
-    @cached_property
-    def halves(self) -> Array:
-        """Weighed derivative of the model by λ as d follows, (K, 2, ny, nf)."""
-        out = np.empty((*self.factors.beside.shape[:3], self.follow.shape[1]))
-        for at, moved in self.moved():
-            out[at] = moved
-        return out
-
-    def moved(self, by: Array | None = None) -> Iterator[tuple[slice, Array]]:
-        """The same, or its product with a matrix (nf, m), one portion of the lines after the other.
-
-        Portions are (k, 2, ny, nf) or (k, 2, ny, m).
-        """
-        n = self.follow.shape[1]
-        both = np.vstack([np.eye(n), -self.follow]) @ (np.eye(n) if by is None else by)
-        for at, rows in self.factors.portions():
-            flat = rows.reshape(-1, rows.shape[3])[:, :-1] @ both
-            yield at, flat.reshape(*rows.shape[:3], -1)
-
-    @property
-    def ends(self) -> Array:
-        """Weighed derivative of the model by d, orthonormal columns, (K, 2, ny, m).
-
-        Those of noise from outside are shorter, as far as their variance holds them.
-        """
-        return self.factors.beside[..., :-1]
+from casid.shooting.line_residuals import Felt, Residual, halves, stacked
+from casid.shooting.lines import Lines
+from casid.shooting.noise_transients import Outside
 
 
 class SpectralResiduals:
     """Residuals of one structure on the lines of its records."""
 
     def __init__(self, free: Free, lines: list[Lines]) -> None:
-        self.free, self.lines, self.matrices = free, lines, MatrixFunction(free)
+        self.free, self.lines = free, lines
+        self.matrices = _function(free.model, tuple(free.index.tolist()))
+        self._last: list[_Discrete] = []  # at the last values, of all copies
 
     def below(self, omega: float) -> "SpectralResiduals":
         """The same on lines up to a frequency [rad/s]."""
@@ -120,31 +51,85 @@ class SpectralResiduals:
 
         With what noise from outside each may hold. LinAlgError for a pole on a line.
         """
-        m = self.matrices(lam)
-        direct = _direct(m)
-        driven: dict[tuple[float, ...], tuple[Array, Array]] = {}
-        resolvents: dict[tuple[float, ...], ComplexArray] = {}
-        found = []
+        at = self._at(lam)
+        groups: list[tuple[tuple[float, ...], Felt, list[int], list[ComplexArray]]] = []
         noise: Sequence[Outside | None] = outside or [None] * len(self.lines)
-        for lines, weight, beyond in zip(self.lines, weights, noise, strict=True):
-            order, h, N = ORDER[lines.record.hold], lines.dt, lines.record.N
-            S, rest = held_lines(self._held(lines, m), N, len(lines.z))
-            key, at = (order, h, *np.round(rest, 12)), (h, N, len(lines.z))
-            if key not in driven:
-                driven[key] = _driven(m, h, rest, order)
-            if at not in resolvents:
-                resolvents[at] = _resolvent(lines.z, driven[key][0][:, : m.nx])
-            ends = _Ends(lines, np.sqrt(weight * lines.seen), m.blocks[2], resolvents[at], beyond)
-            found.append(_residual(ends, S, m.nx, driven[key], direct))
-        return found
+        for r, (lines, weight, beyond) in enumerate(zip(self.lines, weights, noise, strict=True)):
+            W, order, K = np.sqrt(weight * lines.seen), self._order(lines, at.m), len(lines.z)
+            S, rest = lines.inputs.at(at.m.tau, order, K)
+            key = (ORDER[lines.record.hold], _rounded(lines.dt), *np.round(rest, 12))
+            place = (lines.kind, lines.record.N, K, *key)
+            for own, felt, mine, signals in groups:
+                if own == place and np.array_equal(felt.weight, W):
+                    mine.append(r)
+                    signals.append(S)
+                    break
+            else:
+                felt = at.felt(key, lines, W, beyond)
+                groups.append((place, felt, [r], [S]))
+        found: dict[int, Residual] = {}
+        for _, felt, mine, signals in groups:
+            lines_of = [self.lines[r] for r in mine]
+            found |= zip(
+                mine, _residuals(lines_of, felt, np.stack(signals, axis=2), at), strict=True
+            )
+        return [found[r] for r in range(len(self.lines))]
 
-    def _held(self, lines: Lines, m: Matrices) -> DelayedInput:
-        """Delayed inputs of one record; a delay on its bound 0 counts as one to come."""
-        record, moves = lines.record, m.dtau.any(axis=0)
-        if record.hold == "zoh":
+    def _at(self, lam: Array) -> "_Discrete":
+        key = lam.tobytes()
+        if not self._last or self._last[0].key != key:
+            self._last[:] = [_Discrete(key, self.matrices(lam))]
+        return self._last[0]
+
+    def _order(self, lines: Lines, m: Matrices) -> Array:
+        """Delays by which breaks and samples are ordered; one on its bound 0 counts as to come."""
+        moves = m.dtau.any(axis=0)
+        if lines.record.hold == "zoh":
             moves &= ~self.matrices.direct  # outputs jump there
-        within = np.where(moves, np.maximum(m.tau, LATE * lines.dt), m.tau)
-        return delayed_input(record.t, record.u, m.tau, record.hold, within)
+        return np.where(moves, np.maximum(m.tau, LATE * lines.dt), m.tau)
+
+
+@lru_cache(maxsize=8)
+def _function(model: Model, index: tuple[int, ...]) -> MatrixFunction:
+    """Matrices of a structure as a function of some of its parameters, whatever their bounds."""
+    n = len(model.vector())
+    return MatrixFunction(Free(model, np.array(index, dtype=int), *np.zeros((3, n))))
+
+
+class _Discrete:
+    """The model at some values between samples and on lines, of all records alike."""
+
+    def __init__(self, key: bytes, m: Matrices) -> None:
+        self.key, self.m, self.direct = key, m, _direct(m)
+        self._driven: dict[tuple[float, ...], tuple[Array, Array, NDArray[np.intp]]] = {}
+        self._resolvents: dict[tuple[float, ...], ComplexArray] = {}
+
+    def felt(self, key: tuple[float, ...], lines: Lines, W: Array, noise: Outside | None) -> Felt:
+        """What outputs of records like one feel, weighed by W² (K, ny).
+
+        By order, sampling interval and rests.
+        """
+        if key not in self._driven:
+            order, h, *rest = key
+            drive, by_lam = _driven(self.m, h, np.array(rest), int(order))
+            self._driven[key] = drive, *_slopes(by_lam, self.direct[1])
+        drive, slopes, acting = self._driven[key]
+        R, end = self.resolvent(lines, drive[:, : self.m.nx]), lines.z / np.sqrt(lines.record.N)
+        return Felt(W, self.m.blocks[2], R, end, noise, drive, slopes, acting)
+
+    def resolvent(self, lines: Lines, A_d: Array) -> ComplexArray:
+        """(z I − A_d)⁻¹ on a record's lines (K, nx, nx)."""
+        key, K = (_rounded(lines.dt), lines.record.N), len(lines.z)
+        known = self._resolvents.get(key, np.zeros((0, *A_d.shape), dtype=complex))
+        if len(known) < K:
+            more = _resolvent(lines.z[len(known) :], A_d)
+            known = self._resolvents[key] = np.concatenate([known, more])
+        return known[:K]
+
+
+def _rounded(h: float) -> float:
+    """A sampling interval, the same where records' differ by rounding."""
+    return float(f"{h:.12g}")
 
 
 def _resolvent(z: ComplexArray, A_d: Array) -> ComplexArray:
@@ -155,120 +140,48 @@ def _resolvent(z: ComplexArray, A_d: Array) -> ComplexArray:
     return np.asarray(R)
 
 
-@dataclass(frozen=True, eq=False)
-class _Ends:
-    """What the ends of one record leave on its lines."""
+def _slopes(states: Array, outputs: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Ψ (nz, p, nf) of derivatives (nz, nx, nf) of what follows and (nz, ny, nf) at once.
 
-    lines: Lines
-    weight: Array  # (K, ny) root of the lines' weights
-    C: Array
-    R: ComplexArray  # (K, nx, nx) resolvent
-    noise: Outside | None
-
-    @cached_property
-    def felt(self) -> ComplexArray:
-        """Outputs by the states that follow, weighed, (K, ny, nx)."""
-        return np.asarray(self.weight[:, :, None] * (self.C @ self.R))
-
-    @cached_property
-    def end(self) -> ComplexArray:
-        """What one of a state's transient drives, (K,)."""
-        return np.asarray(self.lines.z / np.sqrt(self.lines.record.N))
-
-    def columns(self) -> tuple[ComplexArray, Array]:
-        """Weighed outputs by the transient d (K, ny, m), and 1/variance (m,) of what is known."""
-        own = self.felt * self.end[:, None, None]
-        if self.noise is None or not self.noise.output:
-            return own, np.zeros(own.shape[2])
-        at, (K, ny, nx) = list(self.noise.output), own.shape
-        columns = np.zeros((K, ny, nx + len(at)), dtype=complex)
-        columns[:, :, :nx] = own
-        columns[:, at, nx + np.arange(len(at))] = self.noise.columns * self.weight[:, at]
-        return columns, np.repeat([0.0, 1 / DOUBTED], [nx, len(at)])
-
-    def left(self, d: Array) -> tuple[ComplexArray, ComplexArray]:
-        """States (K, nx) and outputs (K, ny) of a transient."""
-        nx = self.C.shape[1]
-        begun = (self.R @ d[:nx]) * self.end[:, None]
-        out = begun @ self.C.T
-        if self.noise is not None:
-            for i, column, size in zip(
-                self.noise.output, self.noise.columns.T, d[nx:], strict=True
-            ):
-                out[:, i] += column * size
-        return begun, out
+    And the outputs that are not 0 in the latter.
+    """
+    direct = np.flatnonzero(outputs.any(axis=(0, 2)))
+    return np.concatenate([states, outputs[:, direct]], axis=1), direct
 
 
-def _residual(
-    ends: _Ends,
-    S: ComplexArray,
-    nx: int,
-    driven: tuple[Array, Array],
-    straight: tuple[Array, Array],
-) -> Residual:
-    """Residuals of one record from the signals S (K, 3 nu) that drive it."""
-    (drive, drive_lam), (direct, direct_lam) = driven, straight
-    lines, W = ends.lines, ends.weight
-    Z = np.hstack([(ends.R @ (S @ drive[:, nx:].T)[:, :, None])[:, :, 0], S])
-    E = (lines.Y - Z @ direct.T) * lines.seen
-    columns, known = ends.columns()
-    T = halves(columns)
-    d, root = _transient(T, halves(W * E), known)
-    begun, out = ends.left(d)
+def _residuals(
+    lines: Sequence[Lines], felt: Felt, S: ComplexArray, model: _Discrete
+) -> list[Residual]:
+    """Residuals of records that are alike, from the signals S (K, 3 nu, n) that drive them."""
+    nx, n, W = felt.C.shape[1], S.shape[2], felt.weight[:, :, None]
+    seen, direct = lines[0].seen[:, None], model.direct[0]
+    Z = np.concatenate([felt.R @ (felt.drive[:, nx:] @ S), S], axis=1)
+    E = (np.stack([each.Y for each in lines], axis=2) - direct @ Z) * seen
+    (T, known), root = felt.columns, felt.root
+    d = root @ (root.T @ (T.reshape(-1, len(root)).T @ halves(W * E).reshape(-1, n)))
+    begun, out = felt.left(d)
     Z[:, :nx] += begun
-    E -= out * lines.seen
-    beside = np.concatenate([T @ root, halves(W * E)[..., None]], axis=3)
-    factors = _Factors(halves(Z), as_real(ends.felt), W, drive_lam, direct_lam, beside)
-    return _eliminated(E, factors, root.T @ (known * d), float(known @ d**2) / 2)
-
-
-def halves(x: ComplexArray) -> Array:
-    """Real and imaginary part, (K, 2, ...)."""
-    return np.stack([x.real, x.imag], axis=1)
-
-
-def as_real(x: ComplexArray) -> Array:
-    """Complex matrices (K, m, n) as real ones (K, 2 m, 2 n), of halves one after the other."""
-    out = np.empty((len(x), 2, x.shape[1], 2, x.shape[2]))
-    out[:, 0, :, 0] = out[:, 1, :, 1] = x.real
-    out[:, 0, :, 1], out[:, 1, :, 0] = -x.imag, x.imag
-    return out.reshape(len(x), 2 * x.shape[1], -1)
-
-
-def _transient(T: Array, E: Array, known: Array) -> tuple[Array, Array]:
-    """The transient (m,) that fits residuals (K, 2, ny) best, and a root of its covariance.
-
-    Of which zeros are ``known`` with (m,) 1/variance.
-    """
-    flat = T.reshape(-1, T.shape[-1])
-    G = flat.T @ flat + np.diag(known)
-    unit = 1 / np.sqrt(np.maximum(np.diag(G), 1e-300))
-    values, vectors = np.linalg.eigh(G * np.outer(unit, unit))
-    kept = values > RANK * max(float(values.max()), 1e-300)
-    root = unit[:, None] * vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
-    return root @ (root.T @ (flat.T @ E.ravel())), root
-
-
-def _eliminated(E: ComplexArray, factors: _Factors, pull: Array, cost: float) -> Residual:
-    """Normal equations, summed over portions of the lines.
-
-    ``pull`` (m,) is the slope by the transient, and ``cost`` its own, of what is known of it.
-    """
-    n = factors.outputs_lam.shape[2]
-    flat = (rows.reshape(-1, rows.shape[3]) for _, rows in factors.portions())
-    G = np.sum([rows.T @ rows for rows in flat], axis=0)
-    follow = G[n:-1, :n]
-    return Residual(
-        E=E, factors=factors, follow=follow, cost=float(G[-1, -1]) / 2 + cost,
-        F=G[:n, :n] - follow.T @ follow, g=follow.T @ (G[n:-1, -1] - pull) - G[:n, -1],
-        alone=np.diag(G)[:n],
-    )  # fmt: skip
+    E -= out * seen
+    weighed = W * E
+    cost = (np.sum(np.abs(weighed) ** 2, axis=(0, 1)) + known @ d**2) / 2
+    # Slopes of the cost by the transient and by what λ moves.
+    across = felt.ends.reshape(-1, len(root)).T @ halves(weighed).reshape(-1, n)
+    across -= root.T @ (known[:, None] * d)
+    moved, signals = stacked(felt.L.conj().swapaxes(1, 2) @ weighed), stacked(Z)
+    own = signals.transpose(2, 1, 0) @ moved.transpose(2, 0, 1)
+    g = own.reshape(n, -1) @ felt.slopes.reshape(-1, felt.slopes.shape[2])
+    return [
+        Residual(
+            E[:, :, r], felt, Z[:, :, r], follow, float(cost[r]), follow.T @ across[:, r] - g[r]
+        )
+        for r, follow in enumerate(felt.along(felt.met, signals))
+    ]
 
 
 def _driven(m: Matrices, h: float, rest: Array, order: int) -> tuple[Array, Array]:
     """The matrix by which the next state follows from [x; value; slope; jump], (nx, nx + 3 nu).
 
-    Behind it its derivatives by λ, those of the value by the delays with it, (nx + 3 nu, nx nf).
+    Behind it its derivatives by λ, those of the value by the delays with it, (nx + 3 nu, nx, nf).
     """
     A, B = m.blocks[:2]
     nx, nu = B.shape
@@ -290,7 +203,7 @@ def _driven(m: Matrices, h: float, rest: Array, order: int) -> tuple[Array, Arra
         by_lam[:, at] += matrices[order, 1 + j] @ dB[:, :, j].T
         by_lam[:, at] -= np.outer(matrices[order - 1, 1 + j] @ b, tau_lam[j])
     by_lam[:, nx + nu : nx + 2 * nu] -= drive[:, nx : nx + nu, None] * tau_lam
-    return drive, np.moveaxis(by_lam, 1, 0).reshape(nx + 3 * nu, nx * nf)
+    return drive, np.ascontiguousarray(np.moveaxis(by_lam, 1, 0))
 
 
 def _direct(m: Matrices) -> tuple[Array, Array]:

@@ -26,17 +26,19 @@ from casid.arrays import Array, ComplexArray
 from casid.shooting.amplitudes import Sides, sides
 from casid.shooting.hausman import Source
 from casid.shooting.independence import LEVEL as FOLLOWS
-from casid.shooting.independence import followed
+from casid.shooting.independence import Followed, followed
+from casid.shooting.line_residuals import Residual, scatter
 from casid.shooting.lines import Lines
 from casid.shooting.outlying_records import RARELY, Discord, Records, discord, parted, scattered
 from casid.shooting.scores import RecordScores, left_out
-from casid.shooting.spectral import Residual, as_real
 from casid.shooting.spectrum import (
     NoiseSpectrum,
     coherent,
     degrees,
+    kinds,
     leftover,
     leverages,
+    shared,
     smoothed,
 )
 from casid.shooting.uncertainty import coordinates, larger, own_step
@@ -77,7 +79,7 @@ class Opposed(NamedTuple):
         Of two, where nothing that their own estimates leave follows the inputs.
         """
         pairs = zip(lines, self.left, strict=True)
-        chances = [each.chance for own, r in pairs for each in followed([own], [r], r.F, spectra)]
+        chances = [each.chance for own, r in pairs for each in _followed(own, r, spectra)]
         few = discord(self.records, white=min(chances) > FOLLOWS / len(chances), seldom=RARELY)
         found = parted(self.records, self.sides, few) or few or scattered(self.records, RARELY)
         return found and found._replace(noise=self.noise, seldom=RARELY, wider=self.wider)
@@ -96,9 +98,9 @@ def opposed(
     the whole cost, nothing unless given.
     """
     root, inverse = coordinates(P)
-    rows = [np.concatenate([part for _, part in each.moved(root)]) for each in residuals]
     own = [(root.T @ each.g, root.T @ each.F @ root) for each in residuals]
-    alone = [_alone(*each) for each in zip(lines, residuals, powers, rows, own, strict=True)]
+    steps = [-root @ own_step(*each)[0] for each in own]
+    alone = [_alone(*each) for each in zip(lines, residuals, powers, steps, strict=True)]
     taken = [leverages([each], each.F)[0] for each in residuals]
     left = leftover(lines, residuals, taken)
     white = [replace(r, E=r.E / np.sqrt(power)) for r, power in zip(alone, powers, strict=True)]
@@ -106,18 +108,17 @@ def opposed(
     even = [replace(r, E=r.E / np.sqrt(size)) for r, size in zip(white, sizes, strict=True)]
     shapes = _shapes(lines, even, left)
     across = coherent(lines, even, shapes, left)
-    noise = [
-        each * np.sqrt(shape * size)[:, None, :, None]
-        for each, shape, size in zip(rows, shapes, sizes, strict=True)
+    noise = [shape * size for shape, size in zip(shapes, sizes, strict=True)]
+    covariances = [
+        root.T @ _scatter(*each) @ root for each in zip(residuals, across, noise, strict=True)
     ]
-    scatter = [_quadratic(each, S) for each, S in zip(noise, across, strict=True)]
-    wider = _wider(lines, noise, left)
+    wider = _wider(lines, residuals, noise, left, root)
     Z = _balanced(root, slope)
     sources = [
         Source(Z.T @ g, Z.T @ F @ Z, Z.T @ (wider[:, None] * S * wider) @ Z)
-        for (g, F), S in zip(own, scatter, strict=True)
+        for (g, F), S in zip(own, covariances, strict=True)
     ]
-    errors = np.sqrt(np.diag(root @ np.sum(scatter, axis=0) @ root.T))
+    errors = np.sqrt(np.diag(root @ np.sum(covariances, axis=0) @ root.T))
     g, F = (np.array(each) for each in zip(*own, strict=True))
     scores = g @ inverse, inverse.T @ F @ inverse
     flown = sides([each.record for each in lines])
@@ -134,12 +135,10 @@ def _balanced(root: Array, slope: Array | None) -> Array:
     return np.asarray(null_space(root[held] / size[held, None]))
 
 
-def _alone(
-    lines: Lines, residual: Residual, power: Array, rows: Array, own: tuple[Array, Array]
-) -> Residual:
-    """The residuals that a record's own estimate leaves, to first order."""
-    moved = rows @ -own_step(*own)[0]  # halves (K, 2, ny), weighed
-    moved = (moved[:, 0] + 1j * moved[:, 1]) / np.sqrt(lines.weight)[:, None]
+def _alone(lines: Lines, residual: Residual, power: Array, step: Array) -> Residual:
+    """The residuals that a record leaves after a step of free values (nf,), to first order."""
+    real, imaginary = np.split(residual.moved(step[:, None])[..., 0], 2, axis=1)  # weighed
+    moved = (real + 1j * imaginary) / np.sqrt(lines.weight)[:, None]
     return replace(residual, E=residual.E - moved * np.sqrt(power))
 
 
@@ -154,41 +153,51 @@ def _shapes(
     lines: Sequence[Lines], residuals: Sequence[Residual], left: Sequence[Array]
 ) -> list[Array]:
     """Power of residuals on the lines of every record, (K, ny), of records of a kind together."""
-    found: list[Array] = []
-    for each in lines:
-        mine = [r for r, other in enumerate(lines) if other.kind == each.kind]
+    found: dict[int, Array] = {}
+    for mine, at, places in kinds(lines):
         omega = np.concatenate([lines[r].omega for r in mine])
-        shape = np.ones((len(each.omega), len(each.seen)))
-        for i in range(len(each.seen)):
+        shape = np.ones((len(at), len(lines[0].seen)))
+        for i in range(shape.shape[1]):
             power = [lines[r].weight * np.abs(residuals[r].E[:, i]) ** 2 for r in mine]
             freedom = [left[r][:, i] * lines[r].seen[i] for r in mine]
             if np.concatenate(freedom).any():
                 parts = np.concatenate(power), np.concatenate(freedom)
-                shape[:, i] = np.maximum(smoothed(omega, *parts, each.omega), 1e-300)
-        found.append(shape)
-    return found
+                shape[:, i] = np.maximum(smoothed(omega, *parts, at), 1e-300)
+        found |= shared(shape, mine, places)
+    return [found[r] for r in range(len(lines))]
 
 
-def _quadratic(rows: Array, S: ComplexArray) -> Array:
-    """Covariance (k, k) of the score of a record, by rows (K, 2, ny, k) of unit residuals."""
-    k = rows.shape[-1]
-    flat = rows.reshape(len(rows), -1, k)
-    total = flat.reshape(-1, k).T @ (as_real(S) @ flat).reshape(-1, k)
-    return np.asarray((total + total.T) / 2)
+def _scatter(residual: Residual, S: ComplexArray, power: Array) -> Array:
+    """Covariance (nf, nf) of the score of a record by noise of a power (K, ny), correlated so."""
+    size = np.sqrt(power)
+    total = scatter([residual], [size[:, :, None] * S * size[:, None]])
+    return (total + total.T) / 2
 
 
-def _wider(lines: Sequence[Lines], rows: Sequence[Array], left: Sequence[Array]) -> Array:
+def _followed(lines: Lines, r: Residual, spectra: Sequence[NoiseSpectrum]) -> list[Followed]:
+    """What of one record's residuals follows its inputs."""
+    return followed([lines], [r], leverages([r], r.F), spectra)
+
+
+def _wider(
+    lines: Sequence[Lines],
+    residuals: Sequence[Residual],
+    noise: Sequence[Array],
+    left: Sequence[Array],
+    root: Array,
+) -> Array:
     """By what scores (k,) scatter more for what of noise is known from few degrees of freedom.
 
-    Student's t where the test asks, by the normal distribution.
+    Student's t where the test asks, by the normal distribution. By the power of ``noise`` (K, ny)
+    in every record's weighed residuals.
     """
-    k = rows[0].shape[-1]
-    total, free = np.zeros(k), np.zeros(k)
-    for each, own, rest in zip(lines, rows, left, strict=True):
-        c = np.sum(own**2, axis=1)  # (K, ny, k)
-        total += c.sum(axis=(0, 1))
-        free += np.einsum("kia,ki->a", c, rest / each.weight[:, None])
-    share = free / np.maximum(total, 1e-300)
-    freedom = np.maximum(degrees(lines, rows, np.eye(k)) * share, FEWEST)
+    shares, free = [], np.zeros(root.shape[1])
+    for each, own, power, rest in zip(lines, residuals, noise, left, strict=True):
+        sizes = np.stack([power, power * rest / each.weight[:, None]], axis=1)
+        found = own.shares(root, sizes)
+        shares.append(found[:, 0])
+        free += found[:, 1].sum(axis=0)
+    share = free / np.maximum(sum(each.sum(axis=0) for each in shares), 1e-300)
+    freedom = np.maximum(degrees(lines, shares) * share, FEWEST)
     chance = RARELY / len(lines)
     return np.asarray(stdtrit(freedom, chance / 2) / ndtri(chance / 2))

@@ -9,14 +9,16 @@ there. It is never below the level above which the records hold nothing but nois
 the mean of a band as wide as the uppermost quarter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
+from casid.shooting.line_residuals import Residual, halves
 from casid.shooting.lines import Lines
-from casid.shooting.spectral import Residual, halves
 from casid.values import seal, storable
 
 REACH = 0.35  # of the smoothing [nepers of frequency]
@@ -24,6 +26,8 @@ FREEDOM = 20.0  # degrees of freedom, ten lines, that a window holds at least
 STEP = 0.1  # of the grid on which spectra are kept [nepers]
 TOP = 0.75  # of the highest line, from where residuals tell the instruments' noise
 SPENT = 0.1  # share of its degrees of freedom that a line counts as having left at least
+AnyArray = TypeVar("AnyArray", Array, ComplexArray)
+
 FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
 
 
@@ -113,9 +117,12 @@ def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
     root = unit[:, None] * vectors / np.sqrt(values)
-    return [
-        np.concatenate([_squares(moved) for _, moved in each.moved(root)]) for each in residuals
-    ]
+    inverse, along = root @ root.T, {}
+    for each in residuals:
+        if id(each.felt) not in along:
+            slopes = each.felt.slopes.reshape(-1, len(F)) @ root
+            along[id(each.felt)] = slopes @ slopes.T
+    return [each.taken(inverse, along[id(each.felt)]) for each in residuals]
 
 
 def _squares(rows: Array) -> Array:
@@ -163,34 +170,38 @@ def scatter_of_lines(
     residuals: Sequence[Residual],
     powers: Sequence[Array],
     left: Sequence[Array],
-) -> Array:
-    """Covariance (nf, nf) of the cost's gradient from every line's own residual, not smoothed.
+    P: Array,
+) -> tuple[Array, list[Array]]:
+    """Covariance (nf, nf) of estimates from every line's own residual, not smoothed.
 
-    Corrected for leverage by what is `leftover`: HC2 of MacKinnon and White, Journal of
-    Econometrics 29 (1985), 305.
+    By the inverse information P (nf, nf). Corrected for leverage by what is `leftover`: HC2 of
+    MacKinnon and White, Journal of Econometrics 29 (1985), 305. Behind it what weighed residuals of
+    unit variance on every line would add to the variances, (K, ny, nf) of every record.
     """
-    total = np.zeros_like(residuals[0].F)
+    total, shares = np.zeros_like(P), []
     for each, found, power, freedom in zip(lines, residuals, powers, left, strict=True):
         share = np.clip(freedom / each.weight[:, None], SPENT, 1.0)
         E = found.E / np.sqrt(power * share)
         both = np.stack([halves(E), halves(-1j * E)], axis=1).reshape(len(E), 2, -1)
-        slopes = both @ found.halves.reshape(len(E), -1, len(total))
-        total += np.einsum("kha,khb->ab", slopes, slopes, optimize=True)
-    return total
+        own, ny = np.empty((*E.shape, len(P))), E.shape[1]
+        for at, rows in found.portions(P):
+            slopes = (both[at] @ rows).reshape(-1, len(P))
+            total += slopes.T @ slopes
+            squares = rows**2
+            own[at] = squares[:, :ny] + squares[:, ny:]
+        shares.append(own)
+    return total, shares
 
 
-def degrees(lines: Sequence[Lines], rows: Sequence[Array], covariance: Array) -> Array:
-    """Degrees of freedom (nf,) of the variances that the lines' residuals tell of estimates.
+def degrees(lines: Sequence[Lines], shares: Sequence[Array]) -> Array:
+    """Degrees of freedom (n,) of the variances that the lines' residuals tell of estimates.
 
-    Satterthwaite's, 2 (mean)² / variance of Σ c |E|²/Φ, with c what a line adds to a variance: by
-    the ``rows`` (K, 2, ny, nf) of every record, in halves, that unit residuals multiply.
+    Satterthwaite's, 2 (mean)² / variance of Σ c |E|²/Φ, with c what a line adds to a variance: the
+    ``shares`` (K, n) of every record.
     """
-    total, square = np.zeros(len(covariance)), np.zeros(len(covariance))
-    for each, own in zip(lines, rows, strict=True):
-        moved = (own.reshape(-1, len(covariance)) @ covariance).reshape(own.shape)
-        c = np.einsum("khia,khia->ka", moved, moved)
-        total += c.sum(axis=0)
-        square += (c**2 / each.weight[:, None]).sum(axis=0)
+    total = np.sum([c.sum(axis=0) for c in shares], axis=0)
+    pairs = zip(lines, shares, strict=True)
+    square = np.sum([(1 / each.weight) @ c**2 for each, c in pairs], axis=0)
     return np.asarray(total**2 / np.maximum(square, 1e-300))
 
 
@@ -214,10 +225,9 @@ def coherent(
 
     Complex, Hermitian, with ones on the diagonal; ``left`` is what is `leftover`.
     """
-    found: list[ComplexArray] = []
     white = [r.E / np.sqrt(power) for r, power in zip(residuals, powers, strict=True)]
-    for each in lines:
-        mine = [r for r, other in enumerate(lines) if other.kind == each.kind]
+    found: dict[int, ComplexArray] = {}
+    for mine, at, places in kinds(lines):
         omega = np.concatenate([lines[r].omega for r in mine])
         cross = np.concatenate(
             [
@@ -226,8 +236,24 @@ def coherent(
             ]
         )
         freedom = np.concatenate([left[r].mean(axis=1) for r in mine])
-        S = smoothed(omega, cross.reshape(len(omega), -1), freedom, each.omega)
+        S = smoothed(omega, cross.reshape(len(omega), -1), freedom, at)
         S = S.reshape(-1, *cross.shape[1:])
         size = np.sqrt(np.maximum(np.einsum("kii->ki", S).real, 1e-300))
-        found.append(S / (size[:, :, None] * size[:, None]))
-    return found
+        found |= shared(S / (size[:, :, None] * size[:, None]), mine, places)
+    return [found[r] for r in range(len(lines))]
+
+
+def kinds(lines: Sequence[Lines]) -> Iterator[tuple[list[int], Array, list[NDArray[np.intp]]]]:
+    """Records of every kind, all frequencies of their lines, and where those of each stand."""
+    for kind in sorted({each.kind for each in lines}):
+        mine = [r for r, each in enumerate(lines) if each.kind == kind]
+        at, places = np.unique(np.concatenate([lines[r].omega for r in mine]), return_inverse=True)
+        yield mine, at, np.split(places, np.cumsum([len(lines[r].omega) for r in mine])[:-1])
+
+
+def shared(
+    values: AnyArray, mine: Sequence[int], places: Sequence[NDArray[np.intp]]
+) -> dict[int, AnyArray]:
+    """Values at all frequencies of a kind for each of its records, one array of the same lines."""
+    first = {place.tobytes(): values[place] for place in places}
+    return {r: first[place.tobytes()] for r, place in zip(mine, places, strict=True)}

@@ -36,9 +36,9 @@ from casid.shooting.frequency import (
 )
 from casid.shooting.homogeneity import tell
 from casid.shooting.independence import warn_of_missed
+from casid.shooting.line_residuals import scatter
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
-from casid.shooting.spectral import as_real
 from casid.shooting.spectral_delays import done, heard, searched
 from casid.shooting.spectral_homogeneity import Opposed, opposed
 from casid.shooting.spectrum import (
@@ -47,7 +47,6 @@ from casid.shooting.spectrum import (
     contrast,
     degrees,
     leftover,
-    leverages,
     noise_spectra,
     powers,
     scatter_of_lines,
@@ -122,15 +121,14 @@ def _fit(
     more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
     success, status = verdict(solution, outcome.settled, unsettled, more, violated(free, lam))
     if success and (state := programme.state(solution.x)) is not None:
-        missed = warn_of_missed(METHOD, lines, state.residuals, state.F, programme.spectra)
+        missed = warn_of_missed(METHOD, lines, state.residuals, state.taken, programme.spectra)
         if own is not None and asked():
             opposing = own.discord(lines, programme.spectra)
             if opposing and not (missed and opposing.any is None):  # it may set all apart
                 tell(opposing, [each.record for each in lines], free.names)
     R = _variances(programme, solution.x)
-    begun = [
-        predict(model.system(), each.record, np.sqrt(R), PredictionPlan(np.inf)) for each in lines
-    ]
+    system = model.system()
+    begun = [predict(system, each.record, np.sqrt(R), PredictionPlan(np.inf)) for each in lines]
     nuisances = len(lines) * (len(model.states) + len(model.outputs))
     notes = found.notes(outcome.rounds, 0, nuisances, None)
     held = common_hold([each.record for each in lines])
@@ -187,16 +185,15 @@ def _precision(
     active = at_bounds(free, lam, insensitivity)
     ties = holding(free, lam, active) * span
     unit = np.outer(span, span)
-    pull = free.prior_residuals(lam)[1]
-    alone = (sum(each.alone for each in state.residuals) + np.sum(pull**2, axis=0)) * span**2
+    alone = state.alone * span**2
     F = state.F * unit
     scaled = uncertainty.bound(F, ties, alone)
     unknown = np.isinf(np.diag(scaled))
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
-    lines, taken = programme.residuals.lines, leverages(state.residuals, state.F)
+    lines, taken, P = programme.residuals.lines, state.taken, known * unit
     spectra = programme.spectra if estimated else noise_spectra(lines, state.residuals, taken)
     left = leftover(lines, state.residuals, taken)
-    noise = _Noise(spectra, left, _rows(programme, state, spectra))
+    noise = _Noise(spectra, left)
     middle = _scatter(programme, state, lam, noise) * unit
     robust = np.where(np.isfinite(scaled), known @ middle @ known, scaled)
     found = Precision(
@@ -206,8 +203,8 @@ def _precision(
         collinear=uncertainty.collinearities(F, ties, free.names, alone),
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
-    found = _allowing(found, known * unit, programme, state, lam, noise)
-    found, own = _between_records(found, known * unit, programme, state)
+    found = _allowing(found, P, programme, state, lam, noise)
+    found, own = _between_records(found, P, programme, state)
     bounded, rigid = within(free, lam, active, *slopes)
     if not len(bounded.slope):
         return found, own
@@ -245,19 +242,6 @@ class _Noise(NamedTuple):
 
     spectra: tuple[NoiseSpectrum, ...]
     left: list[Array]  # degrees of freedom, by `leftover`
-    rows: list[Array]  # (K, 2, ny, nf) what residuals of unit variance multiply in the gradient
-
-
-def _rows(
-    programme: SpectralProgramme, state: State, spectra: tuple[NoiseSpectrum, ...]
-) -> list[Array]:
-    """Derivatives, (K, 2, ny, nf) of every record in halves, that unit residuals multiply.
-
-    In the cost's gradient, if these come of noise of the ``spectra``.
-    """
-    own = powers(spectra, programme.residuals.lines)
-    parts = zip(state.residuals, own, programme.powers, strict=True)
-    return [each.halves * np.sqrt(mine / held)[:, None, :, None] for each, mine, held in parts]
 
 
 def _allowing(
@@ -278,11 +262,14 @@ def _allowing(
     if not told.any():
         return found
     lines = programme.residuals.lines
-    middle = scatter_of_lines(lines, state.residuals, programme.powers, noise.left)
-    middle += programme.residuals.free.prior_scatter(lam)
+    parts = lines, state.residuals, programme.powers, noise.left
+    own, shares = scatter_of_lines(*parts, known)
+    own += known @ programme.residuals.free.prior_scatter(lam) @ known
     smooth = np.where(told, np.diag(found.covariance), 1.0)
-    more = np.where(told, np.maximum(np.diag(known @ middle @ known) / smooth, 1.0), 1.0)
-    freedom = np.where(told, degrees(lines, noise.rows, known), np.inf)
+    more = np.where(told, np.maximum(np.diag(own) / smooth, 1.0), 1.0)
+    ratios = _powers_ratio(programme, noise.spectra)
+    unit = [(w[:, None] @ c)[:, 0] for w, c in zip(ratios, shares, strict=True)]
+    freedom = np.where(told, degrees(lines, unit), np.inf)
     if freedom.min() < FEW and contrast(noise.spectra) > COLOURED:
         few = ", ".join(np.array(programme.residuals.free.names)[freedom < FEW])
         warn(
@@ -300,8 +287,16 @@ def _scatter(programme: SpectralProgramme, state: State, lam: Array, noise: _Noi
     """Covariance (nf, nf) of the cost's gradient, residuals correlated across outputs."""
     lines = programme.residuals.lines
     across = coherent(lines, state.residuals, powers(noise.spectra, lines), noise.left)
-    total = np.zeros_like(state.F)
-    for rows, S in zip(noise.rows, across, strict=True):
-        left = rows.reshape(len(S), -1, len(total))
-        total += left.reshape(-1, len(total)).T @ (as_real(S) @ left).reshape(-1, len(total))
+    if noise.spectra is not programme.spectra:
+        sizes = [np.sqrt(ratio) for ratio in _powers_ratio(programme, noise.spectra)]
+        across = [
+            size[:, :, None] * S * size[:, None] for size, S in zip(sizes, across, strict=True)
+        ]
+    total = scatter(state.residuals, across)
     return (total + total.T) / 2 + programme.residuals.free.prior_scatter(lam)
+
+
+def _powers_ratio(programme: SpectralProgramme, spectra: tuple[NoiseSpectrum, ...]) -> list[Array]:
+    """Power of weighed residuals of noise of the spectra on lines of every record, (K, ny)."""
+    own = powers(spectra, programme.residuals.lines)
+    return [mine / held for mine, held in zip(own, programme.powers, strict=True)]

@@ -7,6 +7,7 @@ import pytest
 from truths.closed_roll import TRUTH, campaign
 
 from casid import Record, output_error
+from casid.intersample import delayed_input
 from casid.shooting.lines import transformed
 
 CLEAN = campaign()
@@ -43,3 +44,24 @@ def test_a_channel_that_lost_much_is_refused_and_one_that_a_record_lacks_is_not(
     y[::10, 1] = 0.0
     with pytest.raises(ValueError, match="'one': 90% of the samples of 'r' are missing"):
         transformed([replace(lacking, y=y)])
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("jitter", [0.0, 1e-4])
+def test_delayed_inputs_on_lines_are_the_transforms_of_each_delay(hold, jitter):
+    h, rng = 0.05, np.random.default_rng(2)
+    t = h * (np.arange(101) + jitter * rng.random(101))
+    u, nu = rng.standard_normal((101, 2)), 2
+    (lines,) = transformed([Record(t, u, u, ("a", "b"), ("y", "z"), "one", hold=hold)])
+    assert lines.record.equidistant
+    for late in (0.5, 0.2, 0.999, 1.0, 1.001, 0.2, 0.0, 3.3, -0.4):
+        tau = h * np.array([late, 0.7])
+        S, rest = lines.inputs.at(tau, tau, 40)
+        held = delayed_input(t, u, tau, hold)
+        n = np.exp(-2j * np.pi * np.outer(np.arange(1, 41), np.arange(101)) / 101) / np.sqrt(101)
+        jumps = np.zeros((101, nu))
+        jumps[held.step, held.channel] = held.jump
+        expected = np.hstack([n @ held.value, n @ held.slope, n @ jumps])
+        np.testing.assert_allclose(S, expected, atol=1e-12 * np.abs(expected).max())
+        means = [held.rest[held.channel == j].mean() for j in range(nu)]
+        np.testing.assert_allclose(rest, means, atol=1e-13)
