@@ -10,6 +10,7 @@ Identification (2012), chapters 9 and 10. IPOPT sees λ alone: gradient and Gaus
 those of the cost with the transients eliminated.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -179,8 +180,8 @@ class SpectralProgramme:
             return self
         size = np.diag(state.F) * self.scales**2 / self.n
         scales = self.scales / np.sqrt(np.maximum(size, 1.0))
-        other = SpectralProgramme(self.residuals, self.spectra, scales, self.before)
-        other._last = (lam / scales).tobytes(), state
+        other = copy(self)
+        other.scales, other._last = scales, ((lam / scales).tobytes(), state)
         return other
 
     def released(self, free: Free) -> "SpectralProgramme":

@@ -19,47 +19,56 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
 
-PORTION = 1000  # lines whose products are held at once
+PORTION = 200  # lines whose products are held at once, in the cache
 
 
 class Hermitian(NamedTuple):
     """Hermitian matrices of size n, one a line, by what lies on the diagonal and above it."""
 
     n: int
-    real: Array  # (K, n (n + 1) / 2)
-    imag: Array  # (K, n (n - 1) / 2), above the diagonal
+    parts: Array  # (K, n²): real parts, n (n + 1) / 2, behind them imaginary ones off the diagonal
 
     @classmethod
     def of(cls, whole: ComplexArray) -> "Hermitian":
         """Of whole ones (K, n, n)."""
         n = whole.shape[1]
-        flat, places = whole.reshape(len(whole), -1), _places(n)
-        return cls(n, flat.real[:, places.upper], flat.imag[:, places.above])
+        flat = np.ascontiguousarray(whole).reshape(len(whole), n * n).view(float)
+        return cls(n, flat.take(_places(n).parts, axis=1, mode="clip"))
 
     @classmethod
     def squares(cls, x: ComplexArray) -> "Hermitian":
         """Σ x̄ xᵀ over the last axis of (K, n, R)."""
         return cls.of(x.conj() @ x.swapaxes(1, 2))
 
+    @property
+    def real(self) -> Array:
+        """(K, n (n + 1) / 2)."""
+        return self.parts[:, : self.n * (self.n + 1) // 2]
+
+    @property
+    def imag(self) -> Array:
+        """(K, n (n - 1) / 2), above the diagonal."""
+        return self.parts[:, self.n * (self.n + 1) // 2 :]
+
     def whole(self) -> ComplexArray:
         """Whole ones (K, n, n)."""
-        places, out = _places(self.n), np.empty((len(self.real), self.n**2), dtype=complex)
-        out.real = self.real[:, places.real]
-        if self.imag.size:
-            out.imag = self.imag[:, places.imag] * places.sign
-        else:
-            out.imag = 0.0
-        return out.reshape(-1, self.n, self.n)
+        places = _places(self.n)
+        flat = self.parts.take(places.both, axis=1, mode="clip")
+        flat *= places.signs
+        return flat.view(complex).reshape(-1, self.n, self.n)
 
 
 class _Places(NamedTuple):
-    """Where entries of a Hermitian matrix of a size stand, whole (n²,) and by half."""
+    """Where entries of a Hermitian matrix of a size stand, whole (n²,) and by parts."""
 
     upper: NDArray[np.intp]  # in the whole, on the diagonal and above it
     above: NDArray[np.intp]
     real: NDArray[np.intp]  # (n²,) among those
     imag: NDArray[np.intp]
     sign: Array  # (n²,) of the imaginary part
+    parts: NDArray[np.intp]  # (n²,) of all parts among real and imaginary ones by turns
+    both: NDArray[np.intp]  # (2 n²,) of these among all parts
+    signs: Array  # (2 n²,)
 
 
 @lru_cache(maxsize=64)
@@ -69,34 +78,61 @@ def _places(n: int) -> _Places:
     mirrored = np.minimum(row, column) * n + np.maximum(row, column)
     real = np.searchsorted(upper, mirrored)
     imag = np.minimum(np.searchsorted(above, mirrored), max(len(above) - 1, 0))
-    return _Places(upper, above, real, imag, np.sign(column - row).astype(float))
+    sign = np.sign(column - row).astype(float)
+    both = np.stack([real, len(upper) + imag], axis=1).ravel()
+    signs = np.stack([np.ones(n * n), sign], axis=1).ravel()
+    parts = np.concatenate([2 * upper, 2 * above + 1])
+    return _Places(upper, above, real, imag, sign, parts, np.minimum(both, n * n - 1), signs)
+
+
+@lru_cache(maxsize=64)
+def _pairs(n: int, p: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Where entries of M (n p, n p) stand among products of real parts, and of imaginary ones.
+
+    With the sign of the latter.
+    """
+
+    def apart(x: NDArray[np.intp], y: NDArray[np.intp]) -> NDArray[np.intp]:
+        parts = x.reshape(n, 1, n, 1), y.reshape(1, p, 1, p)
+        return np.asarray(parts[0] + parts[1]).reshape(n * p, n * p)
+
+    rows, columns = _places(n), _places(p)
+    real = apart(rows.real * len(columns.upper), columns.real)
+    imag = apart(rows.imag * len(columns.above), columns.imag)
+    sign = rows.sign.reshape(n, 1, n, 1) * columns.sign.reshape(1, p, 1, p)
+    return real, imag, -sign.reshape(n * p, n * p)
 
 
 def gram(x: ComplexArray, felt: Hermitian) -> Array:
     """M = Re Σ Q ⊗ H over lines, (n p, n p), of Q = Σ x̄ xᵀ over the last axis of x (K, n, R)."""
     n, p = x.shape[1], felt.n
-    rows, columns = _places(n), _places(p)
-    M = np.zeros((len(rows.upper), len(columns.upper)))
-    skew = np.zeros((len(rows.above), len(columns.above)))
+    M = np.zeros((n * (n + 1) // 2, p * (p + 1) // 2))
+    skew = np.zeros((n * (n - 1) // 2, p * (p - 1) // 2))
     for k in range(0, len(x), PORTION):
         at = slice(k, k + PORTION)
         driven = Hermitian.squares(x[at])
         M += driven.real.T @ felt.real[at]
         skew += driven.imag.T @ felt.imag[at]
-    M = M[rows.real][:, columns.real]
+    real, imag, sign = _pairs(n, p)
+    whole = M.take(real)
     if skew.size:
-        M -= rows.sign[:, None] * skew[rows.imag][:, columns.imag] * columns.sign
-    return M.reshape(n, n, p, p).transpose(0, 2, 1, 3).reshape(n * p, n * p)
+        whole += sign * skew.take(imag)
+    return whole
 
 
-def contracted(x: ComplexArray, C: Array) -> ComplexArray:
-    """Σ x_q C_qp,q'p' x̄_q' of every line, (K, p, p), of x (K, n) and a symmetric C (n p, n p)."""
-    n = x.shape[1]
-    p, rows, driven = len(C) // n, _places(n), Hermitian.squares(x[:, :, None])
+def parted(C: Array, n: int) -> tuple[Array, Array]:
+    """What a symmetric C (n p, n p) makes of the parts of Q, to be `contracted` with."""
+    p, rows = len(C) // n, _places(n)
     columns = _places(p)
     by = C.reshape(n, p, n, p).transpose(0, 2, 1, 3).reshape(n * n, p * p)
     back = by.reshape(n, n, -1).swapaxes(0, 1).reshape(n * n, -1)
     both = (by + back)[rows.upper][:, columns.upper]
     both[rows.upper % (n + 1) == 0] /= 2
-    apart = (back - by)[rows.above][:, columns.above]
-    return Hermitian(p, driven.real @ both, driven.imag @ apart).whole()
+    return both, (back - by)[rows.above][:, columns.above]
+
+
+def contracted(x: ComplexArray, C: tuple[Array, Array]) -> ComplexArray:
+    """Σ x_q C_qp,q'p' x̄_q' of every line, (K, p, p), of x (K, n) and C that is `parted`."""
+    driven = Hermitian.squares(x[:, :, None])
+    parts = np.concatenate([driven.real @ C[0], driven.imag @ C[1]], axis=1)
+    return Hermitian(round(np.sqrt(parts.shape[1])), parts).whole()

@@ -83,9 +83,14 @@ class Felt:
         return np.asarray(self.columns[0] @ self.root)
 
     @cached_property
+    def along_ends(self) -> ComplexArray:
+        """The same, complex, (K, ny, m)."""
+        return np.asarray(self.ends[:, 0] + 1j * self.ends[:, 1])
+
+    @cached_property
     def met(self) -> Array:
         """What of L is along the ends: endsᴴ L, as `met_by` has it."""
-        return met_by(self.ends[:, 0] + 1j * self.ends[:, 1], self.L)
+        return met_by(self.along_ends, self.L)
 
     def left(self, d: Array) -> tuple[ComplexArray, ComplexArray]:
         """States (K, nx, n) and outputs (K, ny, n) of transients (m, n)."""
@@ -159,22 +164,22 @@ class Residual:
             found[at] = twice[at] @ rows**2
         return found
 
-    def taken(self, inverse: Array, C: Array) -> Array:
+    def taken(self, inverse: Array, C: tuple[Array, Array]) -> Array:
         """What parameters of a covariance (nf, nf) take of every line's freedom, (K, ny).
 
-        C = Ψ inverse Ψᵀ.
+        C = Ψ inverse Ψᵀ, `parted`.
         """
         nz, p, nf = self.felt.slopes.shape
-        beside = self.felt.slopes.reshape(-1, nf) @ (inverse @ self.follow.T)
-        within, out = self.follow @ inverse @ self.follow.T, np.empty(self.E.shape)
+        beside = self.felt.slopes.reshape(-1, nf) @ (2 * inverse @ self.follow.T)
+        beside, within = beside.reshape(nz, -1), self.follow @ inverse @ self.follow.T
+        out = np.empty(self.E.shape)
         for k in range(0, len(self.Z), 4 * PORTION):
             at = slice(k, k + 4 * PORTION)
-            L, Z = self.felt.L[at], self.Z[at]
-            ends = self.ends[at, 0] + 1j * self.ends[at, 1]
-            own = L @ contracted(Z, C)
-            mixed = 2 * (L @ (Z @ beside.reshape(nz, -1)).reshape(len(L), p, -1)) - ends @ within
-            out[at] = np.einsum("kip,kip->ki", own, L.conj()).real
-            out[at] -= np.einsum("kim,kim->ki", mixed, ends.conj()).real
+            L, Z, ends = self.felt.L[at], np.ascontiguousarray(self.Z[at]), self.felt.along_ends[at]
+            own, met = L @ contracted(Z, C), np.empty((len(L), beside.shape[1]), dtype=complex)
+            met.real, met.imag = Z.real @ beside, Z.imag @ beside
+            mixed = L @ met.reshape(len(L), p, -1) - ends @ within
+            out[at] = _products(own, L) - _products(mixed, ends)
         return out
 
     @property
@@ -204,7 +209,7 @@ def scatter(residuals: Sequence[Residual], across: Sequence[ComplexArray]) -> Ar
     by_id, total = {id(S): S for S in across}, np.zeros((residuals[0].follow.shape[1],) * 2)
     for (_, key), mine in alike.items():
         felt, S = mine[0].felt, by_id[key]
-        ends = felt.ends[:, 0] + 1j * felt.ends[:, 1]
+        ends = felt.along_ends
         through, out = S @ felt.L, S @ ends
         total += felt.gram(_signals(mine), Hermitian.of(felt.L.conj().swapaxes(1, 2) @ through))
         within = np.einsum("kim,kin->mn", ends.conj(), out).real
@@ -213,6 +218,11 @@ def scatter(residuals: Sequence[Residual], across: Sequence[ComplexArray]) -> Ar
             mixed = (met - within @ each.follow / 2).T @ each.follow
             total -= mixed + mixed.T
     return total
+
+
+def _products(x: ComplexArray, y: ComplexArray) -> Array:
+    """Re Σ x ȳ over the last axis of contiguous arrays (K, ny, n)."""
+    return np.asarray(np.einsum("kia,kia->ki", x.view(float), y.view(float)))
 
 
 def _signals(residuals: Sequence[Residual]) -> ComplexArray:

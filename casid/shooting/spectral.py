@@ -60,7 +60,7 @@ class SpectralResiduals:
             key = (ORDER[lines.record.hold], _rounded(lines.dt), *np.round(rest, 12))
             place = (lines.kind, lines.record.N, K, *key)
             for own, felt, mine, signals in groups:
-                if own == place and np.array_equal(felt.weight, W):
+                if own == place and np.array_equal(felt.weight, W) and _same(felt.noise, beyond):
                     mine.append(r)
                     signals.append(S)
                     break
@@ -125,6 +125,13 @@ class _Discrete:
             more = _resolvent(lines.z[len(known) :], A_d)
             known = self._resolvents[key] = np.concatenate([known, more])
         return known[:K]
+
+
+def _same(one: Outside | None, other: Outside | None) -> bool:
+    """Whether noise from outside is the same on the lines of two records."""
+    if one is None or other is None:
+        return one is other
+    return one.output == other.output and np.array_equal(one.columns, other.columns)
 
 
 def _rounded(h: float) -> float:

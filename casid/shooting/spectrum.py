@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
+from casid.shooting.line_products import parted
 from casid.shooting.line_residuals import Residual, halves
 from casid.shooting.lines import Lines
 from casid.values import seal, storable
@@ -78,13 +79,15 @@ def _power(parts: list[tuple[Lines, ComplexArray, Array]], grid: Array, i: int) 
 
 def powers(spectra: Sequence[NoiseSpectrum], lines: Sequence[Lines]) -> list[Array]:
     """Spectra on the lines of every record, (K, ny); 1 where an output was not measured."""
+    known: dict[tuple[int, bytes], Array] = {}
     found = []
     for each in lines:
-        mine = spectra[each.kind]
-        columns = [
-            np.interp(np.log(each.omega), np.log(mine.omega), p) for p in np.log(mine.power.T)
-        ]
-        found.append(np.where(each.seen, np.exp(np.array(columns).T), 1.0))
+        mine, key = spectra[each.kind], (each.kind, each.omega.tobytes())
+        if key not in known:
+            places = np.log(each.omega), np.log(mine.omega)
+            columns = [np.interp(*places, p) for p in np.log(mine.power.T)]
+            known[key] = np.exp(np.array(columns).T)
+        found.append(np.where(each.seen, known[key], 1.0))
     return found
 
 
@@ -121,7 +124,7 @@ def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
     for each in residuals:
         if id(each.felt) not in along:
             slopes = each.felt.slopes.reshape(-1, len(F)) @ root
-            along[id(each.felt)] = slopes @ slopes.T
+            along[id(each.felt)] = parted(slopes @ slopes.T, len(each.felt.slopes))
     return [each.taken(inverse, along[id(each.felt)]) for each in residuals]
 
 

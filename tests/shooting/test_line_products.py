@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casid.shooting import line_products
-from casid.shooting.line_products import Hermitian, contracted, gram
+from casid.shooting.line_products import Hermitian, contracted, gram, parted
 
 K, NY = 7, 3
 
@@ -33,7 +33,7 @@ def test_gram_matrices_are_those_of_the_rows(n, p, records, portion, monkeypatch
 def test_what_a_covariance_makes_of_a_row_is_its_quadratic_form(n, p):
     rng = np.random.default_rng(p)
     x, L, root = complex_normal(rng, K, n), complex_normal(rng, K, NY, p), rng.random((n * p, 4))
-    P = contracted(x, root @ root.T)
+    P = contracted(x, parted(root @ root.T, n))
     np.testing.assert_allclose(P, P.conj().swapaxes(1, 2), atol=1e-13)
     np.testing.assert_allclose(
         np.einsum("kip,kpq,kiq->ki", L, P, L.conj()).real,
