@@ -25,7 +25,7 @@ from scipy.special import gammaincc
 from casid.arrays import Array, ComplexArray
 from casid.display import listed
 from casid.errors import warn
-from casid.shooting.line_residuals import Residual
+from casid.shooting.line_residuals import OnLines
 from casid.shooting.lines import Lines
 from casid.shooting.spectrum import NoiseSpectrum, leftover, powers
 
@@ -47,7 +47,7 @@ class Followed(NamedTuple):
 def warn_of_missed(
     method: str,
     lines: Sequence[Lines],
-    residuals: Sequence[Residual],
+    residuals: Sequence[OnLines],
     taken: Sequence[Array],
     spectra: Sequence[NoiseSpectrum],
 ) -> bool:
@@ -76,7 +76,7 @@ def warn_of_missed(
 
 def followed(
     lines: Sequence[Lines],
-    residuals: Sequence[Residual],
+    residuals: Sequence[OnLines],
     taken: Sequence[Array],
     spectra: Sequence[NoiseSpectrum],
 ) -> list[Followed]:

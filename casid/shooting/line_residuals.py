@@ -7,15 +7,17 @@ and of what outputs feel, summed over lines as `casid.shooting.line_products` ha
 out line by line only where somebody asks.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
-from casid.shooting.line_products import Hermitian, contracted, gram
+from casid.shooting.line_products import Hermitian, contracted, gram, parted
 from casid.shooting.noise_transients import DOUBTED, Outside
 
 PORTION = 100  # lines whose derivatives are held at once, in the processor's cache
@@ -121,31 +123,78 @@ class Felt:
 
 
 @dataclass(frozen=True, eq=False)
-class Residual:
+class OnLines(ABC):
+    """Residuals of one record on lines and their derivatives, all that is its own eliminated."""
+
+    E: ComplexArray  # (K, ny) measured less the model, 0 where not measured
+    g: Array  # (nf,) gradient of the cost
+
+    @property
+    @abstractmethod
+    def F(self) -> Array:
+        """Information (nf, nf)."""
+
+    @property
+    @abstractmethod
+    def ends(self) -> Array:
+        """Weighed derivative of the model by what is eliminated, (K, 2, ny, m), orthonormal."""
+
+    @abstractmethod
+    def portions(self, by: Array) -> Iterator[tuple[slice, Array]]:
+        """Weighed derivatives of the model by λ, the rest following, times a matrix (nf, c).
+
+        Halves one after the other, (k, 2 ny, c), a portion of the lines after the other.
+        """
+
+    @classmethod
+    @abstractmethod
+    def leverages(cls, residuals: Sequence[Self], root: Array) -> list[Array]:
+        """What parameters take of every line's freedom, (K, ny) of every record.
+
+        By a root (nf, nf) of their covariance.
+        """
+
+    @classmethod
+    @abstractmethod
+    def scatter(cls, residuals: Sequence[Self], across: Sequence[ComplexArray]) -> Array:
+        """Covariance (nf, nf) of the gradient of the cost of weighed residuals that are correlated.
+
+        By the correlations (K, ny, ny), Hermitian, of every record's outputs.
+        """
+
+    def moved(self, by: Array) -> Array:
+        """`portions`, of all lines: (K, 2 ny, c)."""
+        return np.concatenate([rows for _, rows in self.portions(by)])
+
+    def shares(self, by: Array, sizes: Array) -> Array:
+        """Σ of squares of these by outputs, times ``sizes`` (K, n, ny) of them: (K, n, c)."""
+        twice = np.concatenate([sizes, sizes], axis=2)
+        found = np.empty((*sizes.shape[:2], by.shape[1]))
+        for at, rows in self.portions(by):
+            found[at] = twice[at] @ rows**2
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Residual(OnLines):
     """Weighed residuals of one record's lines and their normal equations, transient eliminated.
 
     The transient d (m,), x_0 − x_N and noise from outside, minimises the sum of squares.
     """
 
-    E: ComplexArray  # (K, ny) measured less the model, 0 where not measured
     felt: Felt
     Z: ComplexArray  # (K, nz) states and signals
     follow: Array  # (m, nf) what of the derivatives by d, orthonormal, is in those by λ
     cost: float  # half the weighed sum of squares
-    g: Array  # (nf,) gradient of the cost
 
     @cached_property
     def F(self) -> Array:
-        """Information (nf, nf)."""
+        """See `OnLines`."""
         known = self.felt.gram(self.Z[:, :, None])
         return np.asarray(known - self.follow.T @ self.follow)
 
-    def moved(self, by: Array) -> Array:
-        """Weighed derivatives of the model by λ as d follows, times (nf, c): (K, 2 ny, c)."""
-        return np.concatenate([rows for _, rows in self.portions(by)])
-
     def portions(self, by: Array) -> Iterator[tuple[slice, Array]]:
-        """The same, halves one after the other, a portion of the lines after the other."""
+        """See `OnLines`."""
         (nz, p, nf), c, K = self.felt.slopes.shape, by.shape[1], len(self.Z)
         slopes = (self.felt.slopes.reshape(-1, nf) @ by).reshape(nz, p * c)
         follow, ends = self.follow @ by, self.ends.reshape(K, -1, len(self.follow))
@@ -156,15 +205,17 @@ class Residual:
             rows -= ends[at] @ follow
             yield at, rows
 
-    def shares(self, by: Array, sizes: Array) -> Array:
-        """Σ of squares of these by outputs, times ``sizes`` (K, n, ny) of them: (K, n, c)."""
-        twice = np.concatenate([sizes, sizes], axis=2)
-        found = np.empty((*sizes.shape[:2], by.shape[1]))
-        for at, rows in self.portions(by):
-            found[at] = twice[at] @ rows**2
-        return found
+    @classmethod
+    def leverages(cls, residuals: Sequence[Self], root: Array) -> list[Array]:
+        """See `OnLines`."""
+        inverse, along = root @ root.T, {}
+        for each in residuals:
+            if id(each.felt) not in along:
+                slopes = each.felt.slopes.reshape(-1, len(root)) @ root
+                along[id(each.felt)] = parted(slopes @ slopes.T, len(each.felt.slopes))
+        return [each._taken(inverse, along[id(each.felt)]) for each in residuals]
 
-    def taken(self, inverse: Array, C: tuple[Array, Array]) -> Array:
+    def _taken(self, inverse: Array, C: tuple[Array, Array]) -> Array:
         """What parameters of a covariance (nf, nf) take of every line's freedom, (K, ny).
 
         C = Ψ inverse Ψᵀ, `parted`.
@@ -184,8 +235,27 @@ class Residual:
 
     @property
     def ends(self) -> Array:
-        """Weighed derivative of the model by d, as `Felt` has it, (K, 2, ny, m)."""
+        """See `OnLines`; as `Felt` has it."""
         return self.felt.ends
+
+    @classmethod
+    def scatter(cls, residuals: Sequence[Self], across: Sequence[ComplexArray]) -> Array:
+        """See `OnLines`."""
+        alike: dict[tuple[int, int], list[Self]] = {}
+        for each, S in zip(residuals, across, strict=True):
+            alike.setdefault((id(each.felt), id(S)), []).append(each)
+        by_id, total = {id(S): S for S in across}, np.zeros((residuals[0].follow.shape[1],) * 2)
+        for (_, key), mine in alike.items():
+            felt, S = mine[0].felt, by_id[key]
+            ends = felt.along_ends
+            through, out = S @ felt.L, S @ ends
+            total += felt.gram(_signals(mine), Hermitian.of(felt.L.conj().swapaxes(1, 2) @ through))
+            within = np.einsum("kim,kin->mn", ends.conj(), out).real
+            along = felt.along(met_by(ends, through), stacked(_signals(mine)))
+            for each, met in zip(mine, along, strict=True):
+                mixed = (met - within @ each.follow / 2).T @ each.follow
+                total -= mixed + mixed.T
+        return total
 
 
 def information(residuals: Sequence[Residual]) -> tuple[Array, Array]:
@@ -196,28 +266,6 @@ def information(residuals: Sequence[Residual]) -> tuple[Array, Array]:
     known = sum(mine[0].felt.gram(_signals(mine)) for mine in alike.values())
     follow = np.concatenate([each.follow for each in residuals])
     return np.asarray(known), np.asarray(known - follow.T @ follow)
-
-
-def scatter(residuals: Sequence[Residual], across: Sequence[ComplexArray]) -> Array:
-    """Covariance (nf, nf) of the gradient of the cost from weighed residuals that are correlated.
-
-    By the correlations (K, ny, ny), Hermitian, of every record's outputs.
-    """
-    alike: dict[tuple[int, int], list[Residual]] = {}
-    for each, S in zip(residuals, across, strict=True):
-        alike.setdefault((id(each.felt), id(S)), []).append(each)
-    by_id, total = {id(S): S for S in across}, np.zeros((residuals[0].follow.shape[1],) * 2)
-    for (_, key), mine in alike.items():
-        felt, S = mine[0].felt, by_id[key]
-        ends = felt.along_ends
-        through, out = S @ felt.L, S @ ends
-        total += felt.gram(_signals(mine), Hermitian.of(felt.L.conj().swapaxes(1, 2) @ through))
-        within = np.einsum("kim,kin->mn", ends.conj(), out).real
-        along = felt.along(met_by(ends, through), stacked(_signals(mine)))
-        for each, met in zip(mine, along, strict=True):
-            mixed = (met - within @ each.follow / 2).T @ each.follow
-            total -= mixed + mixed.T
-    return total
 
 
 def _products(x: ComplexArray, y: ComplexArray) -> Array:

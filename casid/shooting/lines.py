@@ -51,18 +51,19 @@ def transformed(records: Sequence[Record]) -> list[Lines]:
 
     ValueError: an uneven sampling, an output with more than a fifth of its samples missing.
     """
-    kinds = _kinds(records)
-    return [_lines(record, kind) for record, kind in zip(records, kinds, strict=True)]
+    each = zip(records, kinds(records), strict=True)
+    return [_lines(record, kind) for record, kind in each]
 
 
-def _kinds(records: Sequence[Record]) -> list[int]:
+def kinds(records: Sequence[Record]) -> list[int]:
+    """Number of each record's kind: one sampling interval, durations that are alike."""
     order = sorted(range(len(records)), key=lambda i: (records[i].dt, records[i].duration))
-    kinds, last, kind = [0] * len(records), records[order[0]], 0
+    found, last, kind = [0] * len(records), records[order[0]], 0
     for i in order:
         if not same_interval(records[i], last) or records[i].duration > ALIKE * last.duration:
             kind, last = kind + 1, records[i]
-        kinds[i] = kind
-    return kinds
+        found[i] = kind
+    return found
 
 
 def _lines(record: Record, kind: int) -> Lines:

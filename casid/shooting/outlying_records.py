@@ -165,6 +165,12 @@ def scattered(records: Records, seldom: float = SELDOM) -> Discord | None:
     return told._replace(whole=whole if whole.chance < one else None)
 
 
+def differ(records: Records, at: Sides | None) -> bool:
+    """Whether records differ by more than noise, one, all together or by their inputs' size."""
+    off = records.parted(at)
+    return bool(off and off.chance < RARELY) or scattered(records, RARELY) is not None
+
+
 def parted(records: Records, at: Sides | None, few: Discord | None) -> Discord | None:
     """What is told of records that their inputs' size sets apart, better than a few to blame do."""
     off = records.parted(at)

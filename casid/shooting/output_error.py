@@ -38,6 +38,7 @@ from casid.shooting.innovation import ProcessNoise, check_gain
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured_responses import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import Integration
+from casid.shooting.outlying_records import Discord
 from casid.shooting.pade_error import warn_rounded
 from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away, verdict
 from casid.shooting.priors import warn_contradicted, with_knowledge
@@ -161,7 +162,7 @@ class OutputError:
             best = _unmoved(free, str(error))
             raise ConvergenceError(f"output error: {error}", best) from error
         outcome, steps = Search(free, options, self.steps).integrated(outcome)
-        fit = _result(model, free, outcome, time.perf_counter() - begin, steps)
+        fit, discord = _result(model, free, outcome, time.perf_counter() - begin, steps)
         if not rough:
             warn_of_missed(outcome, self.interval)
             end = outcome.programme, outcome.solution.x
@@ -170,7 +171,8 @@ class OutputError:
                 warn_of_innovations(*end)
             elif asked():
                 warn_of_followed(*end)
-                warn_of_contradiction(*end)
+                flown = outcome.programme.evaluator.layout.records
+                warn_of_contradiction(discord, flown, free.names)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:
@@ -267,10 +269,10 @@ def output_error(
         constant ½ n log 2π; ``std_error`` allows for residuals correlated in time and across
         outputs, ``cramer_rao`` does not. Without process noise a `DataWarning` names the record, or
         the few, by which estimates move and without which the others agree: one of a wrong trim,
-        unit or gain. Where the others contradict each other, too, as where the structure misses
-        something, the time domain does not tell; the frequency domain does where residuals follow
-        no input, as of a response that depends on amplitude, and its errors are no less than those
-        by which estimates scatter from record to record.
+        unit or gain. Where the others contradict each other, too, it is told if residuals follow no
+        input, as of a response that depends on amplitude and not of a structure that misses
+        something. Errors are then no less than those by which estimates scatter from record to
+        record.
 
     Raises
     ------
@@ -325,7 +327,8 @@ def _result(
     outcome: Outcome,
     seconds: float,
     steps: Integration | None = None,
-) -> Fit[M, OutputErrorNotes]:
+) -> tuple[Fit[M, OutputErrorNotes], Discord | None]:
+    """The fit, and what is to be told of its records."""
     programme, solution = outcome.programme, outcome.solution
     evaluator = programme.evaluator
     point, final = programme.unpack(solution.x), programme.values(solution.x)
@@ -360,4 +363,4 @@ def _result(
     )  # fmt: skip
     if not success:
         raise ConvergenceError(f"output error: {status}", fit)
-    return fit
+    return fit, found.discord

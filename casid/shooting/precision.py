@@ -1,6 +1,6 @@
 """What an output-error solution says about its own precision."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,10 +14,14 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
+from casid.shooting.outlying_records import Discord
 from casid.shooting.programme import Programme
-from casid.shooting.scores import NO_SCORES, RecordScores
+from casid.shooting.scores import NO_SCORES, OwnScores, RecordScores
+from casid.shooting.slopes import beginnings, slopes
+from casid.shooting.spectral_homogeneity import Opposed
 from casid.shooting.spectrum import NoiseSpectrum
 from casid.shooting.starting import channel_size
+from casid.shooting.temporal_homogeneity import contradiction, suspected
 from casid.shooting.whiteness import whitened
 from casid.values import seal, storable
 
@@ -65,8 +69,8 @@ class OutputErrorNotes:
         What of ``Fit.covariance`` is that parameters on bounds may be within them.
     record_scores, record_information : (records, nf) and (records, nf, nf) array
         Of every record, all else following the parameters: the slope of its log-likelihood at the
-        estimate, which in all is zero, and its information. None of white residuals, in the
-        frequency domain of records that differ by no more than noise.
+        estimate, which in all is zero, and its information. None of white residuals of records
+        that differ by no more than noise, in the frequency domain of any such.
     """
 
     rounds: int
@@ -105,6 +109,7 @@ class Precision:
     undetermined: tuple[str, ...]  # parameters in directions without information
     records: RecordScores = NO_SCORES  # of whole records, by the free parameters
     beside_bounds: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (n, n) in covariance
+    discord: Discord | None = None  # of the records, in scaled unknowns
 
     def notes(
         self, rounds: int, nodes: int, nuisances: int, K: Array | None, Q: Array | None = None
@@ -166,7 +171,10 @@ def _precision(programme: Programme, x: Array, slopes: tuple[Array, Array]) -> P
     n = len(programme.free.index)
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     tied = int(ties[:, :n].any(axis=1).sum())
-    coloured, records = _coloured(programme, x, known, follow, tied)
+    coloured, records, own = _coloured(programme, x, known, follow, tied)
+    found = _against_each_other(programme, x, known, own)
+    if found is not None and not programme.free.priors:
+        coloured, records, found = _widened(programme, coloured, found)
     beside = _beside_bounds(programme, x, slopes, (F, alone), (known, coloured))
     robust = np.where(np.isfinite(scaled), coloured + beside, scaled)
     unit = np.outer(programme.scales.lam, programme.scales.lam)
@@ -181,7 +189,44 @@ def _precision(programme: Programme, x: Array, slopes: tuple[Array, Array]) -> P
         collinear=uncertainty.collinearities(F, ties, names, alone),
         undetermined=lost,
         records=records,
+        discord=None if found is None else found[1],
     )
+
+
+def _against_each_other(
+    programme: Programme, x: Array, P: Array, own: OwnScores
+) -> tuple[Opposed, Discord] | None:
+    """Records that contradict each other, at scaled variables x; P (nf, nf) is `determined`.
+
+    Filters say nothing: their gains follow the records, too. Nor is a record to blame where
+    responses pull at all of them, or, of two, what is known before: `casid.shooting.hausman` asks
+    those.
+    """
+    free, flown = programme.free, programme.evaluator.layout.records
+    fewest = 3 if free.priors else 2
+    if len(flown) < fewest or programme.evaluator.filtering or free.evidence is not None:
+        return None
+    if not P.any() or not suspected(flown, own.found, uncertainty.coordinates(P)[0]):
+        return None
+    upper = programme.hessian_matrix(x)
+    quadratic, follow = quadratic_model(programme, x, upper + scipy.sparse.triu(upper, 1).T)
+    follow = follow[: programme.size - programme.evaluator.nf, :-1]
+    along = slopes(programme, x, follow)(np.eye(len(P))), beginnings(programme, x)
+    F, g = quadratic[:-1, :-1], quadratic[:-1, -1]
+    return contradiction(flown, whitened(programme, x), along, P, F, g)
+
+
+def _widened(
+    programme: Programme, covariance: Array, found: tuple[Opposed, Discord]
+) -> tuple[Array, RecordScores, tuple[Opposed, Discord]]:
+    """A covariance (nf, nf) of the scaled unknowns no less than records scatter; their scores."""
+    own, told = found
+    wide = own.widened(covariance)
+    before, after = np.diag(covariance), np.diag(wide)
+    wider = np.sqrt(np.divide(after, before, out=np.ones_like(after), where=before > 0))
+    unit = programme.scales.lam
+    scores = own.scores[0] / unit, own.scores[1] / np.outer(unit, unit)
+    return wide, scores, (own, told._replace(wider=wider))
 
 
 def _beside_bounds(
@@ -325,14 +370,16 @@ def quadratic_model(
 
 def _coloured(
     programme: Programme, x: Array, covariance: Array, follow: Array, held: int
-) -> tuple[Array, RecordScores]:
+) -> tuple[Array, RecordScores, OwnScores]:
     """What residuals correlated as they are make of a covariance (nf, nf), few data allowed for.
 
-    And scores of whole records, if the scatter of estimates is in these alone.
+    And scores of whole records, if the scatter of estimates is in these alone; and by the
+    covariance's coordinates.
     """
     nf, s, sweep = programme.evaluator.nf, programme.scales, programme.blocks(x).sweep
+    own = OwnScores()
     data, (scores, shares) = uncertainty.coloured_covariance(
-        covariance, whitened(programme, x), slopes(programme, x, follow)
+        covariance, whitened(programme, x), slopes(programme, x, follow), [own]
     )
     n = len(programme.free.index)
     unit, known = s.lam[:n], covariance[:, :n]
@@ -344,24 +391,5 @@ def _coloured(
         more = larger * more * np.outer(s.lam, s.lam)
         total = total + covariance @ more @ covariance
     if nf > n or surprise.any() or not len(scores):
-        return np.asarray(total), NO_SCORES
-    return np.asarray(total), (scores / unit, shares / np.outer(unit, unit))
-
-
-def slopes(
-    programme: Programme, x: Array, follow: Array
-) -> Callable[[Array], Iterator[Iterator[Array]]]:
-    """Total derivatives of every record's whitened residuals by the scaled unknowns.
-
-    ``follow`` is as `information` has it; they come times an (nf, k) array, in pieces (n, ny, k).
-    """
-    e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
-    sweep = programme.blocks(x).sweep
-    nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
-    move = np.zeros((programme.J, nf + nx + ny, nf))  # chronological
-    move[:, :nf] = np.diag(s.lam)
-    move[:, nf : nf + nx] = follow[first - nf :].reshape(programme.J, nx, nf) * s.state[:, None]
-    if programme.biases:
-        bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
-        move[:, nf + nx :] = bias[programme.record]
-    return lambda root: sweep.influence(move[layout.node] @ root)
+        return np.asarray(total), NO_SCORES, own
+    return np.asarray(total), (scores / unit, shares / np.outer(unit, unit)), own

@@ -97,6 +97,29 @@ class ProcessScores:
         return np.asarray((vectors * values) @ vectors.T)
 
 
+class OwnScores:
+    """Gradient (k,) of every record's cost and its information (k, k), in ``found``."""
+
+    def __init__(self) -> None:
+        self.found: list[tuple[Array, Array]] = []
+
+    def begin(self, r: Array) -> None:
+        """See `Scores`."""
+        self._r, self._first = r, 0
+        self._parts: list[tuple[Array, Array]] = []
+
+    def add(self, s: Array) -> None:
+        """See `Scores`."""
+        flat, last = _flat(s), self._first + len(s)
+        self._parts.append((flat.T @ self._r[self._first : last].ravel(), flat.T @ flat))
+        self._first = last
+
+    def end(self) -> None:
+        """See `Scores`."""
+        g, F = zip(*self._parts, strict=True)
+        self.found.append((np.sum(g, axis=0), np.sum(F, axis=0)))
+
+
 class BlockScores:
     """Σ g̃ g̃ᵀ of the scores g = Σ sᵀ r̃ of overlapping blocks, ``K`` (k, k).
 

@@ -179,7 +179,7 @@ def _residuals(
     g = own.reshape(n, -1) @ felt.slopes.reshape(-1, felt.slopes.shape[2])
     return [
         Residual(
-            E[:, :, r], felt, Z[:, :, r], follow, float(cost[r]), follow.T @ across[:, r] - g[r]
+            E[:, :, r], follow.T @ across[:, r] - g[r], felt, Z[:, :, r], follow, float(cost[r])
         )
         for r, follow in enumerate(felt.along(felt.met, signals))
     ]

@@ -27,9 +27,17 @@ from casid.shooting.amplitudes import Sides, sides
 from casid.shooting.hausman import Source
 from casid.shooting.independence import LEVEL as FOLLOWS
 from casid.shooting.independence import Followed, followed
-from casid.shooting.line_residuals import Residual, scatter
+from casid.shooting.line_residuals import OnLines
 from casid.shooting.lines import Lines
-from casid.shooting.outlying_records import RARELY, Discord, Records, discord, parted, scattered
+from casid.shooting.outlying_records import (
+    RARELY,
+    Discord,
+    Records,
+    differ,
+    discord,
+    parted,
+    scattered,
+)
 from casid.shooting.scores import RecordScores, left_out
 from casid.shooting.spectrum import (
     NoiseSpectrum,
@@ -53,7 +61,7 @@ class Opposed(NamedTuple):
     records: Records
     inverse: Array  # (k, nf) of their root
     noise: Array  # (nf,) errors of the parameters by noise as it is in every record
-    left: list[Residual]  # what an estimate of each record alone would leave, to first order
+    left: Sequence[OnLines]  # what an estimate of each record alone would leave, to first order
     sides: Sides | None  # of the inputs' size
     scores: RecordScores  # of whole records by the free parameters, and their information
     wider: Array | None = None  # (nf,) times what they were are errors stated, if at all
@@ -61,10 +69,7 @@ class Opposed(NamedTuple):
     @property
     def scatter(self) -> bool:
         """Whether they differ by more than noise, one, all together or by their inputs' size."""
-        off = self.records.parted(self.sides)
-        if off is not None and off.chance < RARELY:
-            return True
-        return scattered(self.records, RARELY) is not None
+        return differ(self.records, self.sides)
 
     def widened(self, covariance: Array) -> Array:
         """A covariance (nf, nf) of the estimates, no less than scores of whole records scatter."""
@@ -87,15 +92,21 @@ class Opposed(NamedTuple):
 
 def opposed(
     lines: Sequence[Lines],
-    residuals: Sequence[Residual],
+    residuals: Sequence[OnLines],
     powers: Sequence[Array],
     P: Array,
     slope: Array | None = None,
+    there: Array | None = None,
+    *,
+    white: bool = False,
+    fewest: float = FEWEST,
 ) -> Opposed:
     """Records at an estimate whose inverse information is P (nf, nf), 0 of what is held.
 
     ``powers`` (K, ny) are the spectra by which residuals are weighed, ``slope`` (nf,) is that of
-    the whole cost, nothing unless given.
+    the whole cost, nothing unless given. Residuals and derivatives stand for whole records; of
+    their samples (records, ny) shares may be ``there``, which alone tell. Noise that is ``white``
+    is of one power on all lines. Of its power ``fewest`` degrees of freedom tell at least.
     """
     root, inverse = coordinates(P)
     own = [(root.T @ each.g, root.T @ each.F @ root) for each in residuals]
@@ -103,16 +114,18 @@ def opposed(
     alone = [_alone(*each) for each in zip(lines, residuals, powers, steps, strict=True)]
     taken = [leverages([each], each.F)[0] for each in residuals]
     left = leftover(lines, residuals, taken)
-    white = [replace(r, E=r.E / np.sqrt(power)) for r, power in zip(alone, powers, strict=True)]
-    sizes = [_sizes(*each) for each in zip(lines, white, left, strict=True)]
-    even = [replace(r, E=r.E / np.sqrt(size)) for r, size in zip(white, sizes, strict=True)]
-    shapes = _shapes(lines, even, left)
+    plain = [replace(r, E=r.E / np.sqrt(power)) for r, power in zip(alone, powers, strict=True)]
+    sizes = np.array([_sizes(*each) for each in zip(lines, plain, left, strict=True)])
+    even = [replace(r, E=r.E / np.sqrt(size)) for r, size in zip(plain, sizes, strict=True)]
+    shapes = [np.ones(each.Y.shape) for each in lines] if white else _shapes(lines, even, left)
     across = coherent(lines, even, shapes, left)
-    noise = [shape * size for shape, size in zip(shapes, sizes, strict=True)]
+    share = np.ones(sizes.shape) if there is None else there
+    noise = [shape * size for shape, size in zip(shapes, sizes * share, strict=True)]
     covariances = [
         root.T @ _scatter(*each) @ root for each in zip(residuals, across, noise, strict=True)
     ]
-    wider = _wider(lines, residuals, noise, left, root)
+    ones = np.ones(root.shape[1])
+    wider = ones if white else _wider(lines, residuals, noise, left, root, fewest)
     Z = _balanced(root, slope)
     sources = [
         Source(Z.T @ g, Z.T @ F @ Z, Z.T @ (wider[:, None] * S * wider) @ Z)
@@ -135,14 +148,14 @@ def _balanced(root: Array, slope: Array | None) -> Array:
     return np.asarray(null_space(root[held] / size[held, None]))
 
 
-def _alone(lines: Lines, residual: Residual, power: Array, step: Array) -> Residual:
+def _alone(lines: Lines, residual: OnLines, power: Array, step: Array) -> OnLines:
     """The residuals that a record leaves after a step of free values (nf,), to first order."""
     real, imaginary = np.split(residual.moved(step[:, None])[..., 0], 2, axis=1)  # weighed
     moved = (real + 1j * imaginary) / np.sqrt(lines.weight)[:, None]
     return replace(residual, E=residual.E - moved * np.sqrt(power))
 
 
-def _sizes(lines: Lines, residual: Residual, left: Array) -> Array:
+def _sizes(lines: Lines, residual: OnLines, left: Array) -> Array:
     """Mean power (ny,) of a record's residuals; 1 of what it has not."""
     power, freedom = lines.weight @ np.abs(residual.E) ** 2, left.sum(axis=0)
     size = power / np.maximum(freedom, 1.0)
@@ -150,7 +163,7 @@ def _sizes(lines: Lines, residual: Residual, left: Array) -> Array:
 
 
 def _shapes(
-    lines: Sequence[Lines], residuals: Sequence[Residual], left: Sequence[Array]
+    lines: Sequence[Lines], residuals: Sequence[OnLines], left: Sequence[Array]
 ) -> list[Array]:
     """Power of residuals on the lines of every record, (K, ny), of records of a kind together."""
     found: dict[int, Array] = {}
@@ -167,24 +180,25 @@ def _shapes(
     return [found[r] for r in range(len(lines))]
 
 
-def _scatter(residual: Residual, S: ComplexArray, power: Array) -> Array:
+def _scatter(residual: OnLines, S: ComplexArray, power: Array) -> Array:
     """Covariance (nf, nf) of the score of a record by noise of a power (K, ny), correlated so."""
     size = np.sqrt(power)
-    total = scatter([residual], [size[:, :, None] * S * size[:, None]])
+    total = residual.scatter([residual], [size[:, :, None] * S * size[:, None]])
     return (total + total.T) / 2
 
 
-def _followed(lines: Lines, r: Residual, spectra: Sequence[NoiseSpectrum]) -> list[Followed]:
+def _followed(lines: Lines, r: OnLines, spectra: Sequence[NoiseSpectrum]) -> list[Followed]:
     """What of one record's residuals follows its inputs."""
     return followed([lines], [r], leverages([r], r.F), spectra)
 
 
 def _wider(
     lines: Sequence[Lines],
-    residuals: Sequence[Residual],
+    residuals: Sequence[OnLines],
     noise: Sequence[Array],
     left: Sequence[Array],
     root: Array,
+    fewest: float,
 ) -> Array:
     """By what scores (k,) scatter more for what of noise is known from few degrees of freedom.
 
@@ -198,6 +212,6 @@ def _wider(
         shares.append(found[:, 0])
         free += found[:, 1].sum(axis=0)
     share = free / np.maximum(sum(each.sum(axis=0) for each in shares), 1e-300)
-    freedom = np.maximum(degrees(lines, shares) * share, FEWEST)
+    freedom = np.maximum(degrees(lines, shares) * share, fewest)
     chance = RARELY / len(lines)
     return np.asarray(stdtrit(freedom, chance / 2) / ndtri(chance / 2))

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
-from casid.shooting.line_products import parted
-from casid.shooting.line_residuals import Residual, halves
+from casid.shooting.line_residuals import OnLines, halves
 from casid.shooting.lines import Lines
 from casid.values import seal, storable
 
@@ -46,7 +45,7 @@ class NoiseSpectrum:
 
 
 def noise_spectra(
-    lines: Sequence[Lines], residuals: Sequence[Residual], taken: Sequence[Array]
+    lines: Sequence[Lines], residuals: Sequence[OnLines], taken: Sequence[Array]
 ) -> tuple[NoiseSpectrum, ...]:
     """Φ of every kind of manoeuvre, in the order of their numbers; ``taken`` by `leverages`."""
     left = leftover(lines, residuals, taken)
@@ -92,7 +91,7 @@ def powers(spectra: Sequence[NoiseSpectrum], lines: Sequence[Lines]) -> list[Arr
 
 
 def leftover(
-    lines: Sequence[Lines], residuals: Sequence[Residual], taken: Sequence[Array]
+    lines: Sequence[Lines], residuals: Sequence[OnLines], taken: Sequence[Array]
 ) -> list[Array]:
     """Degrees of freedom that every line and output has left, (K, ny) of every record."""
     left: list[Array] = []
@@ -114,18 +113,12 @@ def reach(lines: Sequence[Lines], taken: Sequence[Array], share: float) -> float
     return float(omega[order[min(beyond, len(omega) - 1)]])
 
 
-def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
+def leverages(residuals: Sequence[OnLines], F: Array) -> list[Array]:
     """What parameters of information F (nf, nf) take of every line's freedom, (K, ny)."""
     unit = 1 / np.sqrt(np.maximum(np.diag(F), 1e-300))
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
-    root = unit[:, None] * vectors / np.sqrt(values)
-    inverse, along = root @ root.T, {}
-    for each in residuals:
-        if id(each.felt) not in along:
-            slopes = each.felt.slopes.reshape(-1, len(F)) @ root
-            along[id(each.felt)] = parted(slopes @ slopes.T, len(each.felt.slopes))
-    return [each.taken(inverse, along[id(each.felt)]) for each in residuals]
+    return type(residuals[0]).leverages(residuals, unit[:, None] * vectors / np.sqrt(values))
 
 
 def _squares(rows: Array) -> Array:
@@ -170,7 +163,7 @@ def _between(edges: Array, total: Array, at: Array) -> Array:
 
 def scatter_of_lines(
     lines: Sequence[Lines],
-    residuals: Sequence[Residual],
+    residuals: Sequence[OnLines],
     powers: Sequence[Array],
     left: Sequence[Array],
     P: Array,
@@ -202,10 +195,30 @@ def degrees(lines: Sequence[Lines], shares: Sequence[Array]) -> Array:
     Satterthwaite's, 2 (mean)² / variance of Σ c |E|²/Φ, with c what a line adds to a variance: the
     ``shares`` (K, n) of every record.
     """
-    total = np.sum([c.sum(axis=0) for c in shares], axis=0)
-    pairs = zip(lines, shares, strict=True)
-    square = np.sum([(1 / each.weight) @ c**2 for each, c in pairs], axis=0)
+    total, square = (part.sum(axis=0) for part in _of_kinds(lines, shares))
     return np.asarray(total**2 / np.maximum(square, 1e-300))
+
+
+def weighed_apart(lines: Sequence[Lines], shares: Sequence[Array], fewest: float) -> Array:
+    """By what variances (n,) are larger for kinds whose spectra are estimated each by itself.
+
+    1 + 4 Σ w (1 - w)/ν of kinds of a share w and ν degrees of freedom, ``fewest`` at least: what
+    is quieter by chance counts more (P. Meier, Biometrics 9 (1953), 59). 1 of one kind.
+    """
+    total, square = _of_kinds(lines, shares)
+    freedom = np.maximum(total**2 / np.maximum(square, 1e-300), fewest)
+    share = total / np.maximum(total.sum(axis=0), 1e-300)
+    return np.asarray(1 + 4 * np.sum(share * (1 - share) / freedom, axis=0))
+
+
+def _of_kinds(lines: Sequence[Lines], shares: Sequence[Array]) -> tuple[Array, Array]:
+    """Of every kind Σ c and Σ c² by degrees of freedom, (kinds, n), c as `degrees` has it."""
+    total = np.zeros((1 + max(each.kind for each in lines), shares[0].shape[1]))
+    square = np.zeros_like(total)
+    for each, c in zip(lines, shares, strict=True):
+        total[each.kind] += c.sum(axis=0)
+        square[each.kind] += (1 / each.weight) @ c**2
+    return total, square
 
 
 def contrast(spectra: Sequence[NoiseSpectrum]) -> float:
@@ -220,7 +233,7 @@ def contrast(spectra: Sequence[NoiseSpectrum]) -> float:
 
 def coherent(
     lines: Sequence[Lines],
-    residuals: Sequence[Residual],
+    residuals: Sequence[OnLines],
     powers: Sequence[Array],
     left: Sequence[Array],
 ) -> list[ComplexArray]:

@@ -36,7 +36,7 @@ from casid.shooting.frequency import (
 )
 from casid.shooting.homogeneity import tell
 from casid.shooting.independence import warn_of_missed
-from casid.shooting.line_residuals import scatter
+from casid.shooting.line_residuals import Residual
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
 from casid.shooting.spectral_delays import done, heard, searched
@@ -292,7 +292,7 @@ def _scatter(programme: SpectralProgramme, state: State, lam: Array, noise: _Noi
         across = [
             size[:, :, None] * S * size[:, None] for size, S in zip(sizes, across, strict=True)
         ]
-    total = scatter(state.residuals, across)
+    total = Residual.scatter(state.residuals, across)
     return (total + total.T) / 2 + programme.residuals.free.prior_scatter(lam)
 
 

@@ -18,7 +18,15 @@ from casid.arrays import Array, BoolArray
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.switches import deciding
-from casid.shooting.scores import NO_SCORES, PARTS, BlockScores, ProcessScores, RecordScores, summed
+from casid.shooting.scores import (
+    NO_SCORES,
+    PARTS,
+    BlockScores,
+    ProcessScores,
+    RecordScores,
+    Scores,
+    summed,
+)
 from casid.truncated import OnBounds
 from casid.values import storable
 
@@ -233,6 +241,7 @@ def coloured_covariance(
     covariance: Array,
     residuals: Sequence[Array],
     slopes: Callable[[Array], Iterable[Iterable[Array]]],
+    also: Sequence[Scores] = (),
 ) -> tuple[Array, RecordScores]:
     """Covariance of the estimates under the correlation the residuals really have.
 
@@ -248,7 +257,8 @@ def coloured_covariance(
     ``covariance`` (nf, nf) is the Cramér-Rao bound for white residuals, ``residuals`` (N, ny) those
     of every record, whitened, 0 where missing. ``slopes`` returns their total derivatives by λ
     times an (nf, k) array, in the same order: iterables of (n, ny, k) arrays, one a record, piece
-    after piece, so that memory does not grow with the records.
+    after piece, so that memory does not grow with the records. In the directions of `coordinates`
+    they go to what is ``also`` to be summed, too.
     """
     C = residual_covariance(residuals)
     root, inverse = coordinates(covariance)
@@ -256,7 +266,8 @@ def coloured_covariance(
     blocks, samples = max(BLOCKS * k, FEWEST), sum(len(r) for r in residuals)
     length, records = samples // (PARTS * blocks), NO_SCORES
     together = BlockScores(length, k) if len(C) > 1 and length > 0 else None
-    summed(residuals, slopes(root), [process] if together is None else [process, together])
+    own = [process] if together is None else [process, together]
+    summed(residuals, slopes(root), [*own, *also])
     K = process.total()
     if together is not None:
         g, H = together.records()

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter, lsim
+from scipy.signal import lsim
 from truths.structures import Banking
 
 from casid import DataWarning, Record, output_error
 from casid.shooting.amplitudes import Sides
-from casid.shooting.hausman import Disagreement, Source
-from casid.shooting.homogeneity import OPPOSED, contradiction, tell
-from casid.shooting.outlying_records import Discord, Heterogeneity, Records
+from casid.shooting.hausman import Disagreement
+from casid.shooting.homogeneity import OPPOSED, tell
+from casid.shooting.outlying_records import Discord, Heterogeneity
 
 T = np.arange(0, 6, 0.05)
 
@@ -56,65 +56,6 @@ def test_a_stick_of_another_gain_is_told_with_what_its_record_moves():
 def test_true_flights_are_not_told():
     records = flown(3, seed=2)
     assert told(records)[1] == told(records, biases=False)[1] == []
-
-
-def drawn(rng, n, colour, loud, off=0.0):
-    """P, residuals and slopes of least squares of records with noise of a colour, as flown."""
-    slopes = [
-        lfilter([1], [1, -0.9], rng.standard_normal((k, 2, n)), axis=0) for k in (150, 90, 220)
-    ]
-    noise = [lfilter([1], [1, -colour], rng.standard_normal((len(s), 2)), axis=0) for s in slopes]
-    noise[0] *= loud
-    noise[1] = noise[1] + off * slopes[1][:, :, 0]
-    noise = [e / np.std(np.concatenate(noise)) for e in noise]
-    F = np.sum([np.einsum("nik,nil->kl", s, s) for s in slopes], axis=0)
-    P = np.linalg.inv(F)
-    step = P @ np.sum(
-        [np.einsum("nik,ni->k", s, e) for s, e in zip(slopes, noise, strict=True)], axis=0
-    )
-    left = [e - s @ step for s, e in zip(slopes, noise, strict=True)]
-    return P, left, lambda root: ([s @ root] for s in slopes)
-
-
-@pytest.mark.second
-@pytest.mark.parametrize("colour", [0.0, 0.7])
-@pytest.mark.parametrize("loud", [1.0, 2.0])
-def test_chance_is_told_as_seldom_as_said_and_an_own_parameter_always(colour, loud):
-    rng = np.random.default_rng(4)
-    assert sum(contradiction(*drawn(rng, 3, colour, loud)) is not None for _ in range(150)) <= 1
-    for _ in range(5):
-        found = contradiction(*drawn(rng, 3, colour, loud, off=2.0))
-        assert 1 in found.which
-
-
-def test_residuals_that_are_not_white_are_not_taken_for_such():
-    # Of white residuals the same slopes would often contradict each other.
-    rng, white = np.random.default_rng(5), 0
-    for _ in range(20):
-        P, left, along = drawn(rng, 3, 0.9, 1.0)
-        root = np.linalg.cholesky(P)
-        pairs = zip(left, along(root), strict=True)
-        found = [
-            (np.einsum("nik,ni->k", s, e), np.einsum("nik,nil->kl", s, s)) for e, (s,) in pairs
-        ]
-        white += Records([Source(-g, F, F) for g, F in found], root).agree()
-        assert contradiction(P, left, along) is None
-    assert white < 15
-
-
-def test_errors_by_noise_alone_are_those_of_coloured_noise_with_what_estimates_have_taken_of_it():
-    # The mean of a process of first order, three records, one of them off.
-    rng, n, colour = np.random.default_rng(6), 4000, 0.7
-    noise = [lfilter([1], [1, -colour], rng.standard_normal(n)) for _ in range(3)]
-    noise = [e / np.std(np.concatenate(noise)) for e in noise]
-    noise[2] = noise[2] + 1.5
-    left = [(e - np.mean(noise))[:, None] for e in noise]
-    found = contradiction(
-        np.eye(1) / (3 * n), left, lambda root: ([np.ones((n, 1, 1)) @ root] for _ in left)
-    )
-    assert found.which == (2,)
-    known = (1 + colour) / (1 - colour) / (3 * n)
-    np.testing.assert_allclose(found.noise, np.sqrt(2 * known), rtol=0.1)
 
 
 @pytest.mark.second

@@ -9,7 +9,7 @@ from truths.closed_roll import TRUTH, campaign
 from casid.free import free_parameters
 from casid.shooting import line_residuals
 from casid.shooting.line_products import parted
-from casid.shooting.line_residuals import information, scatter
+from casid.shooting.line_residuals import Residual, information
 from casid.shooting.lines import transformed
 from casid.shooting.noise_transients import on_lines
 from casid.shooting.spectral import SpectralResiduals
@@ -96,7 +96,9 @@ def test_scatter_of_correlated_residuals_is_the_rows_own(found):
         np.einsum("kia,kij,kjb->ab", laid_out(each).conj(), S, laid_out(each)).real
         for each, S in zip(found, across, strict=True)
     )
-    np.testing.assert_allclose(scatter(found, across), expected, atol=1e-11 * expected.max())
+    np.testing.assert_allclose(
+        Residual.scatter(found, across), expected, atol=1e-11 * expected.max()
+    )
 
 
 def test_portions_and_shares_make_the_whole(found, monkeypatch):
