@@ -50,6 +50,7 @@ from casid.shooting.spectrum import (
     noise_spectra,
     powers,
     scatter_of_lines,
+    weighed_apart,
 )
 
 METHOD = "output error in the frequency domain"
@@ -193,7 +194,7 @@ def _precision(
     lines, taken, P = programme.residuals.lines, state.taken, known * unit
     spectra = programme.spectra if estimated else noise_spectra(lines, state.residuals, taken)
     left = leftover(lines, state.residuals, taken)
-    noise = _Noise(spectra, left)
+    noise = _Noise(spectra, left, estimated)
     middle = _scatter(programme, state, lam, noise) * unit
     robust = np.where(np.isfinite(scaled), known @ middle @ known, scaled)
     found = Precision(
@@ -242,6 +243,7 @@ class _Noise(NamedTuple):
 
     spectra: tuple[NoiseSpectrum, ...]
     left: list[Array]  # degrees of freedom, by `leftover`
+    weighs: bool  # whether lines are weighed by it
 
 
 def _allowing(
@@ -255,8 +257,8 @@ def _allowing(
     """The precision with errors widened for a spectrum that is estimated, from few lines.
 
     By what the lines' own residuals tell beyond the smoothed ones, and as Student's t of their
-    degrees of freedom is wider than the normal distribution; warns where those are few. ``known``
-    is the covariance of what is determined.
+    degrees of freedom is wider than the normal distribution, and for kinds weighed by their own;
+    warns where those are few. ``known`` is the covariance of what is determined.
     """
     told = np.isfinite(np.diag(found.cramer_rao)) & (np.diag(known) > 0)
     if not told.any():
@@ -279,6 +281,8 @@ def _allowing(
             "turbulence)"
         )
     bounded = np.maximum(freedom, FEWEST)
+    if noise.weighs:
+        more = more * np.where(told, weighed_apart(lines, unit, FEWEST), 1.0)
     wider = np.sqrt(more / (1 - 2 / bounded))
     return replace(found, covariance=found.covariance * np.outer(wider, wider))
 

@@ -13,7 +13,7 @@ from truths.closed_roll import (
 from casid import (
     output_error,
 )
-from casid.shooting.spectrum import reach, smoothed
+from casid.shooting.spectrum import reach, smoothed, weighed_apart
 
 CLEAN = campaign()
 
@@ -44,3 +44,17 @@ def test_the_reach_is_where_the_lines_above_hold_a_share(share, from_there):
     lines = [SimpleNamespace(omega=np.array(omega)) for omega in omegas]
     # from above: 0.1 at 9, 0.3 at 4, 0.25 at 3, 1.5 at 1 rad/s
     assert reach(lines, [np.array(h) for h in taken], share) == from_there
+
+
+def test_of_kinds_weighed_by_what_was_measured_of_each_the_mean_scatters_as_told():
+    # Means of unit variance of three kinds, weighed by variances of twelve degrees of freedom.
+    rng, freedom, draws = np.random.default_rng(3), 12, 40000
+    v = rng.chisquare(freedom, (draws, 3)) / freedom
+    mean = np.sum(rng.standard_normal((draws, 3)) / v, axis=1) / np.sum(1 / v, axis=1)
+    stated = np.mean(1 / np.sum(1 / v, axis=1))
+    lines = [SimpleNamespace(kind=k, weight=np.full(6, 2.0)) for k in range(3)]
+    rows = [np.full((6, 2, 1, 1), 0.3)] * 3
+    found = weighed_apart(lines, rows, np.eye(1), 1.0)
+    np.testing.assert_allclose(found, 1 + 4 * 3 * (1 / 3) * (2 / 3) / freedom)
+    np.testing.assert_allclose(found, np.mean(mean**2) / stated, rtol=0.05)
+    np.testing.assert_array_equal(weighed_apart(lines[:1], rows[:1], np.eye(1), 1.0), 1)
