@@ -93,6 +93,8 @@ class OutputError:
         records' transforms by their spectrum, which is estimated, so that what the structure misses
         at some frequencies counts less there. In the frequency domain nothing is shot: no
         ``interval``, no process noise, biases always, R diagonal, records sampled evenly.
+        An ``R`` that is given weighs all lines alike, and noise under way when a record begins is
+        not eliminated; errors are those of the spectrum that the residuals have.
         Errors allow for how few lines the spectrum comes from, a `DataWarning` tells where that may
         not be enough; and for records that differ by more than noise makes them, which is told.
     responses : sequence of FrequencyResponse

@@ -54,7 +54,7 @@ from casid.shooting.spectrum import (
 )
 
 METHOD = "output error in the frequency domain"
-FEW = 20.0  # degrees of freedom of a variance: fewer are few
+FEW = 10.0  # degrees of freedom of a variance: of fewer, errors are less sure than of many
 FEWEST = 4.0  # that count, lest a factor be infinite
 COLOURED = 3.0  # rise of a spectrum from which smoothing over few lines misses its shape
 

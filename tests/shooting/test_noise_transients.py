@@ -133,3 +133,16 @@ def test_errors_hold_under_noise_that_rises_steeply(runs):
     # Of 12 runs each scatters by 0.2; Yv is 4.0 and Ylat 1.9 where the past is left out.
     assert size.max() < 1.7
     assert np.sqrt(np.mean(size**2)) < 1.4
+
+
+@pytest.mark.parametrize(
+    "runs",
+    [pytest.param(10, marks=pytest.mark.slow), pytest.param(60, marks=pytest.mark.campaign)],
+)
+@pytest.mark.filterwarnings("ignore:.*few lines")
+def test_errors_hold_under_a_covariance_that_is_given_without_what_was_under_way(runs):
+    R, z = np.diag([NOISE[name] ** 2 for name in TRUTH.outputs]), []
+    for seed in range(runs):
+        fit = output_error(TRUTH, drifting(100 + seed), R=R, domain="frequency")
+        z.append([(row.value - getattr(TRUTH, row.name)) / row.std_error for row in fit.parameters])
+    assert np.sqrt(np.mean(np.square(z))) < 1.4
