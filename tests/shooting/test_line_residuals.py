@@ -8,7 +8,6 @@ from truths.closed_roll import TRUTH, campaign
 
 from casid.free import free_parameters
 from casid.shooting import line_residuals
-from casid.shooting.line_products import parted
 from casid.shooting.line_residuals import Residual, information
 from casid.shooting.lines import transformed
 from casid.shooting.noise_transients import on_lines
@@ -76,10 +75,8 @@ def test_information_and_gradient_are_those_of_the_rows(found):
 
 def test_what_is_taken_of_lines_is_a_quadratic_form_of_the_rows(found):
     C = np.linalg.inv(information(found)[1])
-    for each in found:
-        flat = each.felt.slopes.reshape(-1, len(LAM))
+    for each, taken in zip(found, Residual.leverages(found, np.linalg.cholesky(C)), strict=True):
         expected = np.einsum("kia,ab,kib->ki", laid_out(each), C, laid_out(each).conj()).real
-        taken = each.taken(C, parted(flat @ C @ flat.T, len(each.felt.slopes)))
         np.testing.assert_allclose(taken, expected, atol=1e-10 * expected.max())
 
 

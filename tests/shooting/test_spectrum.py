@@ -53,8 +53,8 @@ def test_of_kinds_weighed_by_what_was_measured_of_each_the_mean_scatters_as_told
     mean = np.sum(rng.standard_normal((draws, 3)) / v, axis=1) / np.sum(1 / v, axis=1)
     stated = np.mean(1 / np.sum(1 / v, axis=1))
     lines = [SimpleNamespace(kind=k, weight=np.full(6, 2.0)) for k in range(3)]
-    rows = [np.full((6, 2, 1, 1), 0.3)] * 3
-    found = weighed_apart(lines, rows, np.eye(1), 1.0)
+    shares = [np.full((6, 1), 0.3)] * 3
+    found = weighed_apart(lines, shares, 1.0)
     np.testing.assert_allclose(found, 1 + 4 * 3 * (1 / 3) * (2 / 3) / freedom)
     np.testing.assert_allclose(found, np.mean(mean**2) / stated, rtol=0.05)
-    np.testing.assert_array_equal(weighed_apart(lines[:1], rows[:1], np.eye(1), 1.0), 1)
+    np.testing.assert_array_equal(weighed_apart(lines[:1], shares[:1], 1.0), 1)
