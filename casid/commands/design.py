@@ -42,7 +42,8 @@ SHOWN = 12  # parameters in the table
 DPI = 120
 POOR = "poor"  # the verdict on an output that casts doubt on a design
 SCRIPTS = ("card.lua", "inject.py")  # of ArduPilot, of PX4
-WRITTEN = ("card.csv", *SCRIPTS, "design.md", "design.png", "errors.png")
+BASELINE = "3-2-1-1"
+WRITTEN = ("card.csv", f"{BASELINE}.csv", *SCRIPTS, "design.md", "design.png", "errors.png")
 
 
 def _scaled(text: str) -> tuple[str, float]:
@@ -106,6 +107,7 @@ def design(
     \b
     The output folder then also holds
       design/card.csv    time and designed stick deviations, SI
+      design/3-2-1-1.csv the card of the 3-2-1-1 that it is compared with
       design/card.lua    with --ardupilot, a script that flies them
       design/inject.py   with --px4, a program that sends them
       design/design.md   what is compared, and every standard error before and after
@@ -136,6 +138,7 @@ def design(
         for script in SCRIPTS:  # of a former card
             remove_own(folder / script)
         write_text(folder / "card.csv", made.to_csv())
+        write_text(folder / f"{BASELINE}.csv", made.to_csv(BASELINE))
         write_text(folder / "design.md", _page(made, settings, doubts))
         for name, errors in (("design", False), ("errors", True)):
             figure = np.ravel(made.plot(errors=errors))[0].figure
@@ -144,7 +147,14 @@ def design(
             write_text(folder / SCRIPTS[0], made.to_ardupilot(channels, doubts=doubts))
         if asked["px4"]:
             write_text(folder / SCRIPTS[1], made.to_px4(asked["px4"], doubts=doubts))
-        console.print(Text("Card: ").append(str((folder / "card.csv").resolve()), style="bold"))
+        _say_cards(console, made, folder)
+
+
+def _say_cards(console: Console, made: Design, folder: Path) -> None:
+    """Where the card is, and that of the 3-2-1-1 where that is what to fly."""
+    for said, name in (("Card", "card"), *([] if made.gains else [(BASELINE, BASELINE)])):
+        path = str((folder / f"{name}.csv").resolve())
+        console.print(Text(f"{said}: ").append(path, style="bold"))
 
 
 def _settings(

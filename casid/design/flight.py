@@ -1,34 +1,37 @@
 """A card flown in the nonlinear structure that it was designed for, in its loop.
 
-As in `casid.design.loop` the sticks are u = u₀ + r - K (y - y₀) at samples and straight lines in
-between, delayed by τ. States follow by the classical method of Runge and Kutta. Where a delay is
-shorter than a sample, what feedback adds at the next sample is not known yet and goes on as a
-straight line, an error of second order in the interval.
+Beside the structure at the values that are believed its limits hold for other plausible aircraft,
+each flown in the nonlinear structure, too.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import cast
 
-import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.design.fleet import Balances, Fleet, Watch
 from casid.design.loop import Feedback, gains
+from casid.design.motion import Motion
 from casid.design.nonlinear_information import Flown
 from casid.design.optimise import Task
-from casid.design.prior import condition
+from casid.design.prior import condition, possible
+from casid.design.problem import JUDGES, Problem
 from casid.evaluation import MatrixFunction
 from casid.free import Free
+from casid.model import Model
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 
 REACH = 0.5  # of the fastest mode times a step of the integration, at most
 LEAST, MOST = 4, 100  # steps of it a sample: lines break within one, where delays have them do so
-PASSES = 3  # of what a stick does to its own sample, by a direct term and feedback
+FEWEST = 2  # of plausible aircraft, many of which are flown
 ROUNDS = 40  # of making a card smaller
 SAFE = 1e-3  # by which it is made smaller than it needs to be, so that rounds end
+CLOSE = 0.01  # share of a limit that may be left
 HALF = 2.0  # a card that is further beyond its limits, or runs away, is halved first
+INSIDE = 0.1  # of what is between a card that is too large and one that is not, from either
 
 
 class Flight:
@@ -46,27 +49,48 @@ class Flight:
         task: Task,
     ) -> None:
         at, (h, N) = MatrixFunction(free)(free.guess), (task.loops[0].h, task.loops[0].N)
-        values = condition(model, trim).values
-        x0, u0 = (np.array([values[n] for n in names]) for names in (model.states, model.inputs))
-        y0 = model.equations()(x0, u0, model.vector())[1].full().ravel()
-        self._free, self._values = replace(free, model=model), np.concatenate([u0, y0, x0])
-        self._t = h * np.arange(N)
+        self.z, nx = total(model, trim), len(model.states)
         K = gains(feedback, model.inputs, model.outputs)
-        fastest = float(np.abs(np.linalg.eigvals(at.blocks[0])).max())
-        parts = int(np.clip(np.ceil(fastest * h / REACH), LEAST, MOST))
-        step = _step(model, (x0, u0), K, at.tau / h, h / parts, parts)
-        self._fly, self._start = step.mapaccum("fly", N), np.zeros(step.size1_in(0))
-        self._task = task
+        self._fastest = float(np.abs(np.linalg.eigvals(at.blocks[0])).max())
+        parts, longest = _parts(self._fastest * h, LEAST), float(at.tau.max())
+        self._motion = Motion(model, K, h=h, N=N, parts=parts, longest=longest)
+        self._place = self._motion.place(self.z, model.vector(), at.tau)
+        y0 = model.equations()(*np.split(self.z, [nx]), model.vector())[1].full().ravel()
+        self._free = replace(free, model=model)
+        self._values = np.concatenate([self.z[nx:], y0, self.z[:nx]])
+        self._t, self._task = h * np.arange(N), task
+        self._beside: list[Flight] = []
+        self._coarse, self._feedback = self._t, feedback
+        self.fleet: Fleet | None = None
+
+    def join(self, beside: Sequence["Flight"], drawn: Sequence[NonlinearModel], task: Task) -> None:
+        """Other aircraft have to keep the limits, too: all beside, nine in ten of those drawn.
+
+        These are sampled as of the task.
+        """
+        self._beside, (h, N) = list(beside), (task.loops[0].h, task.loops[0].N)
+        if drawn:
+            self._coarse, parts = h * np.arange(N), _parts(self._fastest * h, FEWEST)
+            self.fleet = Fleet(drawn, self.z, self._feedback, task, parts)
 
     def fly(self, r: Array) -> Array:
         """Sticks, outputs and states (N, nu + ny + nx), in deviations, after a designed input r."""
-        after = np.append(r[1:], r[-1:], axis=0)
-        return np.asarray(self._fly(self._start, np.hstack([r, after]).T)[1].full().T)
+        return self._motion.fly(self._place, r)
 
     def shares(self, r: Array) -> Array:
         """Largest shares of the limits (2 nu + ny + nx,); infinite where the flight runs away."""
         most = np.abs(self._task.shares(self.fly(r))).max(axis=0)
         return np.where(np.isfinite(most), most, np.inf)
+
+    def used(self, r: Array) -> Array:
+        """The same of all aircraft, of those drawn of the nine in ten that limits are kept with."""
+        every = [each.shares(r) for each in (self, *self._beside)]
+        if self.fleet:
+            every.append(self.fleet.used(self._resampled(r)))
+        return np.asarray(np.max(every, axis=0))
+
+    def _resampled(self, r: Array) -> Array:
+        return np.stack([np.interp(self._coarse, self._t, x) for x in r.T], axis=1)
 
     @property
     def trim(self) -> dict[str, float]:
@@ -84,57 +108,96 @@ class Flight:
 
     def within(self, r: Array) -> Array:
         """An input that keeps the limits in the linearisation, as small as it takes here."""
+        watch = Watch(self.fleet, self._resampled(r)) if self.fleet else None
+        if (share := self._most(r, 1.0, watch.all if watch else None)) <= 1.0:
+            return r
+        high, low = (1.0, share), (0.0, 0.0)
         for _ in range(ROUNDS):
-            if (most := float(self.shares(r).max())) <= 1.0:
-                return r
-            r = r / min(HALF, most + SAFE)
+            c = _between(low, high)
+            share = self._most(c * r, c, watch.some if watch else None)
+            if share <= 1.0 and _near(c, share, high) and watch:
+                share = self._most(c * r, c, watch.all)
+            if share > 1.0:
+                high, low = (c, share), low if low[0] < c else (0.0, 0.0)
+            elif _near(c, share, high):
+                return c * r
+            else:
+                low = c, share
         raise ValueError(
             "the nonlinear structure diverges after inputs of any size, though its linearisation "
             "at the trim does not: check its equations there, or design for model.at(trim)"
         )
 
+    def _most(self, r: Array, c: float, of_fleet: Callable[[float], float] | None) -> float:
+        """The largest share of a limit after r, of a fleet that is watched after the factor c."""
+        most = max(float(each.shares(r).max()) for each in (self, *self._beside))
+        return max(most, of_fleet(c)) if of_fleet else most
 
-def _step(
-    model: NonlinearModel, trim: tuple[Array, Array], K: Array, lag: Array, h: float, parts: int
-) -> ca.Function:
-    """From one sample to the next: (s, (r now, r then)) -> (s, (u, y, x)), in deviations.
 
-    s holds the states, what feedback added last, and the sticks of the samples before, the last
-    one first. Delays are in samples, h is one of so many parts of the interval.
+def total(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -> Array:
+    """States and inputs (nx + nu,) of a trim."""
+    values = condition(model, trim).values
+    return np.array([values[name] for name in (*model.states, *model.inputs)])
+
+
+def _parts(reach: float, least: int) -> int:
+    """Steps of the integration in a sample in which the fastest mode gets that far."""
+    return int(np.clip(np.ceil(reach / REACH), least, MOST))
+
+
+def _near(c: float, share: float, high: tuple[float, float]) -> bool:
+    """Whether a card that is small enough is as large as one may be, or the next is too large."""
+    return share >= 1.0 - CLOSE or c > high[0] * (1.0 - CLOSE)
+
+
+def _between(low: tuple[float, float], high: tuple[float, float]) -> float:
+    """What to try between a factor that is too large and one that is not, with their shares."""
+    (a, least), (b, most) = low, high
+    if not a:
+        return b / min(HALF, most + SAFE)
+    wanted = -CLOSE / 2  # of the logarithm, as good as a power between the two
+    part = (wanted - np.log(least)) / (np.log(min(most, HALF)) - np.log(least))
+    return float(a + (b - a) * np.clip(part, INSIDE, 1.0 - INSIDE))
+
+
+def flight_of(
+    structure: Model,
+    trim: Trim | Mapping[str, float] | None,
+    problem: Problem,
+    ensemble: Sequence[Model],
+    *,
+    draw: bool,
+) -> Flight | None:
+    """A nonlinear structure in its loop, at the records' own sampling, with other aircraft.
+
+    None of a linear one, and where the trim has unknowns. ValueError: no other aircraft is held.
     """
-    (x0, u0), (f, lam) = trim, (model.equations(), model.vector())
-    rate0, y0 = f(x0, u0, lam)
-    nx, nu, depth = len(x0), len(u0), int(lag.max()) + 1
-    s, r = ca.SX.sym("s", nx + nu * (depth + 1)), ca.SX.sym("r", 2 * nu)
-    x, last, past = s[:nx], s[nx : nx + nu], ca.reshape(s[nx + nu :], nu, depth)
-
-    def rate(x: Any, d: Any) -> Any:  # noqa: ANN401 - expressions
-        return f(x0 + x, u0 + d, lam)[0] - rate0
-
-    y: Any = y0
-    back: Any = last
-    for _ in range(PASSES):
-        sticks = ca.horzcat(r[nu:], r[:nu] + back, past)
-        y = f(x0 + x, u0 + _acting(sticks, lag, 0.0), lam)[1] - y0
-        back = -ca.mtimes(K, y)
-    u = r[:nu] + back
-    sticks = ca.horzcat(r[nu:] + 2 * back - last, u, past)
-    z = x
-    for k in range(parts):
-        now, mid, then = (_acting(sticks, lag, (k + w) / parts) for w in (0.0, 0.5, 1.0))
-        k1 = rate(z, now)
-        k2 = rate(z + h / 2 * k1, mid)
-        k3 = rate(z + h / 2 * k2, mid)
-        k4 = rate(z + h * k3, then)
-        z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    after = ca.vertcat(z, back, ca.vec(sticks[:, 1 : depth + 1]))
-    return ca.Function("step", [s, r], [after, ca.vertcat(u, y, x)])
-
-
-def _acting(sticks: Any, lag: Array, w: float) -> Any:  # noqa: ANN401 - expressions
-    """Of sticks (nu, n), that at the next sample first, what acts w of a sample from now."""
-    ago = 1.0 + lag - w  # samples before the next one
-    k = np.minimum(ago.astype(int), sticks.shape[1] - 2)
-    pairs = [(sticks[j, int(i)], sticks[j, int(i) + 1]) for j, i in enumerate(k)]
-    new, old = (ca.vertcat(*each) for each in zip(*pairs, strict=True))
-    return new + (ago - k) * (old - new)
+    if not isinstance(structure, NonlinearModel) or (isinstance(trim, Trim) and trim.unknown):
+        return None
+    settings, feedback = problem.settings, problem.feedback
+    task = problem.task(settings.interval)
+    made = Flight(structure, trim, problem.frees[0], feedback, task)
+    beside = []
+    for other, free in zip(ensemble, problem.frees[1:], strict=True):
+        z = total(other := cast(NonlinearModel, other), trim)
+        own = Balances(other, z).nearest(other.vector())
+        names = (*structure.states, *structure.inputs)
+        values = dict(zip(names, (z if own is None else own).tolist(), strict=True))
+        beside.append(Flight(other, values, free, feedback, task))
+    count, spread = JUDGES * settings.draws * draw, problem.spread
+    others = possible(
+        replace(problem.frees[0], model=structure), problem.known, spread, count, count
+    )
+    made.join(
+        beside,
+        [cast(NonlinearModel, each.model) for each in others],
+        problem.task(problem.coarse()),
+    )
+    if made.fleet and not made.fleet.count:
+        held = "held by the feedback given" if feedback else "held, without feedback"
+        raise ValueError(
+            f"none of {count} plausible aircraft, which are {spread:.0%} off the model, has a "
+            f"trim of its own, in which it is {held}: give a feedback that holds them, a smaller "
+            "spread if the model is known better, or draws = 0, without a margin"
+        )
+    return made

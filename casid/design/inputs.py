@@ -1,6 +1,6 @@
 """Design of inputs: alternatives, optimisation, prediction."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +9,9 @@ from casid.arrays import Array
 from casid.design import signals
 from casid.design.criterion import as_long, covariance
 from casid.design.feedback_noise import deviations, peak
-from casid.design.flight import Flight
-from casid.design.loop import Feedback, gains
+from casid.design.fleet import Fleet
+from casid.design.flight import Flight, flight_of
+from casid.design.loop import Crowd, Feedback, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
 from casid.design.phases import least_peak
@@ -57,8 +58,9 @@ def design_inputs(
 
     A nonlinear structure is designed for by its linearisation at a trim; everything is in
     deviations from there. What is designed is then flown in the nonlinear structure itself, in its
-    loop, and made smaller until limits hold there, too; what is predicted, and all standard errors,
-    are those of this flight. Where the trim has unknowns they are those of the linearisation.
+    loop, and made smaller until limits hold there, too, with other values, each in its own trim;
+    what is predicted, and all standard errors, are those of this flight. Where the trim has
+    unknowns they are those of the linearisation.
 
     Parameters
     ----------
@@ -122,12 +124,22 @@ def design_inputs(
         flown["multisine"] = _multisine(problem, task)
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
     stated = problem.of_all(free, known_before(free, fit))
-    made = _stated(structure, trim, stated, task, flown, chosen)
-    count = (1 + JUDGES) * settings.draws if drawn else 0
-    return replace(
-        made, plausible=count, unheld=count - sum(crowd.count for crowd in drawn.values()),
-        spread=problem.spread,
-    )  # fmt: skip
+    flight = flight_of(structure, trim, stated, ensemble, draw=bool(drawn))
+    made = _stated(structure, flight, stated, task, flown, chosen)
+    return _with_margin(made, problem, drawn.values(), flight.fleet if flight else None)
+
+
+def _with_margin(
+    made: Design, problem: Problem, crowds: Collection[Crowd], fleet: Fleet | None
+) -> Design:
+    """The value with the plausible aircraft of which it speaks; of a fleet, which go further."""
+    draws, lost = problem.settings.draws, 0
+    if fleet:
+        count, unheld, lost = JUDGES * draws, fleet.unheld, fleet.untrimmed
+    else:
+        count = (1 + JUDGES) * draws if crowds else 0
+        unheld = count - sum(crowd.count for crowd in crowds)
+    return replace(made, plausible=count, unheld=unheld, untrimmed=lost, spread=problem.spread)
 
 
 def _of_what_is_felt(structure: Model, free: Free, settings: DesignSettings) -> DesignSettings:
@@ -252,31 +264,20 @@ def _multisine(problem: Problem, task: Task) -> Array:
     return improved(task, shapes, settings.iterations)
 
 
-def _flight(
-    structure: Model, trim: Trim | Mapping[str, float] | None, problem: Problem
-) -> Flight | None:
-    """A nonlinear structure in its loop, at the records' own sampling."""
-    if not isinstance(structure, NonlinearModel) or (isinstance(trim, Trim) and trim.unknown):
-        return None
-    task = problem.task(problem.settings.interval)
-    return Flight(structure, trim, problem.frees[0], problem.feedback, task)
-
-
 def _stated(
     structure: Model,
-    trim: Trim | Mapping[str, float] | None,
+    flight: Flight | None,
     problem: Problem,
     rough: Task,
     flown: Mapping[str, Array],
     chosen: str,
 ) -> Design:
     """What all alternatives buy, of a nonlinear structure by its own flight where there is one."""
-    flight = _flight(structure, trim, problem)
     made = _predicted(problem, rough, flight, flown, chosen)
     if flight and (said := flight.flown(made.r).jumps()):
         warn(f"{chosen}, as it is flown: {said}")
     if isinstance(structure, NonlinearModel) and not flight:
-        return replace(made, unfelt=without_effect(problem.frees[0]))
+        return replace(made, linearised=True, unfelt=without_effect(problem.frees[0]))
     return made
 
 
@@ -305,9 +306,10 @@ def _predicted(
     model, share = problem.frees[0].model, fine.peaks(r)
     signals = flight.fly(r) if flight else fine.loops[0].fly(r).signals
     u, y, _ = np.split(signals, np.cumsum([len(model.inputs), len(model.outputs)]), axis=1)
+    at_most = rough.peaks(np.stack([np.interp(coarse, t, x) for x in r.T], 1))
     if flight:
-        share = np.maximum(share, flight.shares(r))
-    at_most = np.maximum(share, rough.peaks(np.stack([np.interp(coarse, t, x) for x in r.T], 1)))
+        share, at_most = (np.maximum(share, flight.shares(r)), np.maximum(at_most, flight.used(r)))
+    at_most = np.maximum(share, at_most)
     noise, before = _with_noise(problem, fine, signals), np.diag(problem.known)
     known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
     made = Design(

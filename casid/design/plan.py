@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casid.arrays import Array
+from casid.checks import check_known
 from casid.design.criterion import KEPT
 from casid.design.injection import ardupilot_script, px4_script
 from casid.display import Shown, in_minutes, listed
@@ -64,9 +65,10 @@ class Design(Shown):
     instead : float
         Time [s] of 3-2-1-1, one after the other, after which standard errors would be as small in
         the geometric mean; infinite if never.
-    plausible, unheld : int
+    plausible, unheld, untrimmed : int
         Models drawn from the prior, and those of them that the feedback does not hold, or that need
-        one where none was given: they keep no limits.
+        one where none was given: they keep no limits. Of a nonlinear structure they are those that
+        it is flown with, and those without a trim near that of the design.
     spread : float
         Standard deviation of the logarithms of their values.
     untold : tuple of str
@@ -80,6 +82,9 @@ class Design(Shown):
         That were asked for, deviations from trim, by the names of ``used``.
     trim : mapping
         Total values of states, inputs and outputs of a nonlinear structure in its trim.
+    linearised : bool
+        Of a nonlinear structure at a trim with unknowns limits and errors are those of its
+        linearisation there.
     unfelt : tuple of str
         Parameters of which the linearisation at the trim, by which errors are stated where the trim
         has unknowns, feels nothing.
@@ -104,12 +109,14 @@ class Design(Shown):
     instead: float = np.nan
     plausible: int = 0
     unheld: int = 0
+    untrimmed: int = 0
     spread: float = 0.0
     untold: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
     matter: tuple[str, ...] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
     trim: Mapping[str, float] = field(default_factory=dict)
+    linearised: bool = False
     unfelt: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -117,23 +124,34 @@ class Design(Shown):
 
     def headline(self) -> str:
         """What is flown, and how much better it is, if it is."""
-        _, mean, worst, name = next(row for row in self.ratios() if row[0] == self.kind)
+        mean, worst, name = self._ratio()
         of = f"of {listed(self.matter)} " * bool(self.matter)
         before = ", each with what is known before" * bool(np.isfinite(self.before).any())
         parts = [
             f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors "
             f"{of}{mean:.3g} times those of 3-2-1-1 (geometric mean), {worst:.3g} at worst "
             f"({name}){before}",
-            self._gain(mean),
+            self._gain(),
             f"without {listed(self.untold)}, which no input identifies" * bool(self.untold),
             self.warning(),
         ]
         return "; ".join(filter(None, parts))
 
-    def _gain(self, mean: float) -> str:
+    def _ratio(self) -> tuple[float, float, str]:
+        return next(row[1:] for row in self.ratios() if row[0] == self.kind)
+
+    @property
+    def gains(self) -> bool:
+        """Whether it tells more than the 3-2-1-1, in the geometric mean."""
+        return self._ratio()[0] < 1
+
+    def _gain(self) -> str:
         """The flight time that is saved; what to do where there is no gain."""
-        if mean >= 1:
-            return "no better than the 3-2-1-1: fly that, or allow more iterations or flight time"
+        if not self.gains:
+            return (
+                'no better than the 3-2-1-1: fly that, to_csv("3-2-1-1"), or allow more iterations '
+                "or flight time"
+            )
         if self.instead == np.inf:
             return f"{in_minutes(self.t[-1])} of flight for what no time of 3-2-1-1 identifies"
         if not self.instead > self.t[-1]:
@@ -151,6 +169,11 @@ class Design(Shown):
             said.append(
                 f"{self.unheld} of {self.plausible} plausible aircraft are {why}: limits do not "
                 "hold for them"
+            )
+        if self.untrimmed:
+            said.append(
+                f"{self.untrimmed} of {self.plausible} plausible aircraft have no trim near that "
+                "of the design: they were not flown"
             )
         if self.unfelt:
             said.append(
@@ -276,15 +299,20 @@ class Design(Shown):
             return ""
         beside = " beside the errors of the fit" if np.isfinite(self.before).any() else ""
         kept_so = "Without noise limits are kept" if self.used_by_noise else "Limits are kept"
-        held = ""
-        if self.unheld:
-            kept = KEPT * (1 - self.unheld / self.plausible)
-            held = f" and that stay under control, {kept:.0%} of all with such values"
+        held, lost = "", self.unheld + self.untrimmed
+        if lost:
+            kept, trim = (
+                KEPT * (1 - lost / self.plausible),
+                "have a trim and " * bool(self.untrimmed),
+            )
+            held = f" and that {trim}stay under control, {kept:.0%} of all with such values"
+        kept_so += ", in small motions about the trim," * self.linearised
+        flown = " They are flown in the nonlinear structure, each from a trim of its own."
         return (
             f"{kept_so} by nine in ten aircraft whose values are scattered, lognormally, by "
-            f"{self.spread:.0%}{beside} about the values given{held}. One that is further off "
-            "may exceed them: if you know your aircraft less well, say so (spread, or an "
-            "ensemble)."
+            f"{self.spread:.0%}{beside} about the values given{held}.{flown * bool(self.trim)} "
+            "One that is further off may exceed them: if you know your aircraft less well, say so "
+            "(spread, or an ensemble)."
         )
 
     def on_the_card(self) -> str:
@@ -300,9 +328,16 @@ class Design(Shown):
             f"deviates from trim by at most {listed(told)}."
         )
 
-    def to_csv(self) -> str:
-        """The card: time and designed stick deviations, one row a sample."""
-        rows = (np.column_stack([self.t, self.r]).round(9) + 0.0).tolist()  # no -0
+    def to_csv(self, kind: str | None = None) -> str:
+        """The card: time and designed stick deviations, one row a sample.
+
+        Of an alternative by its name, as the ``"3-2-1-1"``; ValueError if there is none.
+        """
+        cards = {each.name: each.r for each in self.alternatives}
+        if kind is not None:
+            check_known("the alternatives have no", [kind], cards)
+        r = self.r if kind is None else cards[kind]
+        rows = (np.column_stack([self.t, r]).round(9) + 0.0).tolist()  # no -0
         return csv_text(["t", *self.inputs], rows)
 
     def to_ardupilot(

@@ -35,7 +35,9 @@ def check_times(**times: float | None) -> None:
 @checked_fields
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What the next flight may not exceed, as deviations from trim, SI; kept in linear models.
+    """What the next flight may not exceed, as deviations from trim, SI.
+
+    They are kept in linear models, and of a nonlinear structure in its own motion, too.
 
     Parameters
     ----------
@@ -105,7 +107,7 @@ class DesignSettings:
         Values are lognormal: it is the standard deviation of their logarithms.
     draws : int
         Models drawn from the prior that the optimisation keeps within limits; twice as many, which
-        it does not see, judge it.
+        it does not see, judge it, and as many fly a nonlinear structure.
     """
 
     method: Method = "best"

@@ -46,6 +46,8 @@ def test_the_studys_table_says_what_is_asked_for_and_options_come_first(tmp_path
     card = (tmp_path / "out/design/card.csv").read_text().splitlines()
     largest = max(abs(float(row.split(",")[1])) for row in card[1:])
     assert 0.01 < largest <= 0.02 + 1e-9
+    other = np.loadtxt(tmp_path / "out/design/3-2-1-1.csv", delimiter=",", skiprows=1)
+    assert other.shape == (len(card) - 1, 2)
     assert (
         "local CHANNELS = {1} -- RC inputs: lat" in (tmp_path / "out/design/card.lua").read_text()
     )

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
 
 from casid import (
     DataWarning,
@@ -49,15 +50,15 @@ def flight(model, feedback, h, N, limits, noise=NOISE):
     return Flight(model, None, problem.frees[0], feedback, task), task
 
 
-def swung(t, r):
+def swung(t, r, k=2.0, trim=TRIM):
     """Deviations of θ under u = r - K q from an integrator of its own."""
 
     def rate(s, x):
-        u = 2.0 * np.sin(TRIM) + np.interp(s, t, r) - GAIN * x[0]
-        return [u - 2.0 * np.sin(x[1]) - 0.5 * x[0], x[0]]
+        u = k * np.sin(trim) + np.interp(s, t, r) - GAIN * x[0]
+        return [u - k * np.sin(x[1]) - 0.5 * x[0], x[0]]
 
-    found = solve_ivp(rate, (0, t[-1]), [0.0, TRIM], t_eval=t, rtol=1e-9, atol=1e-12, max_step=0.02)
-    return found.y[1] - TRIM
+    found = solve_ivp(rate, (0, t[-1]), [0.0, trim], t_eval=t, rtol=1e-9, atol=1e-12, max_step=0.02)
+    return found.y[1] - trim
 
 
 def test_a_flight_is_that_of_an_integrator_of_continuous_time_to_second_order():
@@ -104,6 +105,22 @@ def test_limits_hold_in_the_nonlinear_structure_where_its_linearisation_would_ex
         settings=settings,
     )  # fmt: skip
     assert np.abs(alone.y[:, 1]).max() == pytest.approx(0.7, rel=0.01)
+
+
+@pytest.mark.second
+def test_limits_hold_for_all_of_an_ensemble_each_in_its_own_trim():
+    limits = Limits(sticks={"m": 2.0}, responses={"theta": 0.4})
+    settings = DesignSettings(dt=0.05, iterations=3, draws=0, method="steps")
+    options = {"noise": NOISE, "feedback": {"m": {"q": GAIN}}, "settings": settings}
+    trim = {"theta": TRIM, "m": 2.0 * np.sin(TRIM)}
+    made = design_inputs(Pendulum(), limits, 12.0, trim=trim, ensemble=[Pendulum(k=1.6)], **options)
+    near = minimize_scalar(
+        lambda a: (a - TRIM) ** 2 + (1.6 * np.sin(a) / 2 / np.sin(TRIM) - 1) ** 2, (0.5, 1.2)
+    )
+    other = np.abs(swung(made.t, made.r[:, 0], 1.6, near.x)).max()
+    assert other == pytest.approx(0.4, rel=0.02)
+    assert made.used["theta"] < 0.95
+    assert made.used_at_worst["theta"] == pytest.approx(1.0, abs=0.02)
 
 
 def test_the_record_of_a_design_has_the_total_values_of_its_trim():

@@ -63,7 +63,8 @@ def test_what_is_no_better_than_the_3211_is_not_recommended(design):
         design, covariance=np.diag(errors**2), instead=2.9,
         alternatives=(design.alternatives[0], steps),
     )  # fmt: skip
-    assert "; no better than the 3-2-1-1: fly that, or allow more" in same.headline()
+    assert '; no better than the 3-2-1-1: fly that, to_csv("3-2-1-1"), or' in same.headline()
+    assert (same.gains, design.gains) == (False, True)
     assert "of flight" not in same.headline()
     assert "no better" not in design.headline()
     assert "instead" not in replace(design, instead=1.0).headline()  # no gain in time
@@ -96,6 +97,18 @@ def test_it_says_which_aircraft_its_limits_are_kept_with(design):
     assert (
         "scattered, lognormally, by 20% beside the errors of the fit about the" in fitted.shares()
     )
+
+
+def test_of_a_nonlinear_structure_it_says_in_which_motion_limits_are_kept(design):
+    flown = replace(design, plausible=96, unheld=8, untrimmed=4, trim={"p": 0.0})
+    assert (
+        "and that have a trim and stay under control, 79% of all" in flown.margin()
+    )  # 0.9 × 84/96
+    assert "values. They are flown in the nonlinear structure, each from a trim" in flown.margin()
+    assert "4 of 96 plausible aircraft have no trim near that of the design" in flown.headline()
+    unknown = replace(design, plausible=96, linearised=True)
+    assert unknown.margin().startswith("Limits are kept, in small motions about the trim, by nine")
+    assert "nonlinear" not in unknown.margin() + replace(design, plausible=96).margin()
 
 
 def test_it_says_how_far_a_card_goes_that_feedback_adds_to(design):
@@ -142,4 +155,8 @@ def test_the_card_is_the_sequence(design):
     lines = design.to_csv().splitlines()
     assert lines[0] == "t,lat"
     assert len(lines) == 31
+    half = np.loadtxt(design.to_csv("3-2-1-1").splitlines(), delimiter=",", skiprows=1)
+    np.testing.assert_allclose(half, np.column_stack([design.t, design.r / 2]), atol=1e-9)
+    with pytest.raises(ValueError, match="the alternatives have no 'doublet'"):
+        design.to_csv("doublet")
     assert design.record().N == 30
