@@ -3,13 +3,16 @@
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from errno import EISDIR
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeAlias
 
 LOCK = ".lock"  # kept when a run ends: the lock is the system's, and ends with the process
 PARTIAL = ".partial"
+
+Place: TypeAlias = Callable[[str | Path], Path]  # where to write what is to stand at a path
 
 
 def check_target(target: str | Path, *sources: str | Path) -> None:
@@ -36,7 +39,59 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
     Whatever ends the process earlier leaves the old file as it was. An OSError names the path.
     """
-    path = Path(path)
+    temporary = _beside(path := Path(path))
+    try:
+        yield temporary
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def at_once(*stale: str | Path) -> Iterator[Place]:
+    """Files of one result: what is written where ``place(path)`` says takes its path at the end.
+
+    All are whole by then, or none is moved. They are moved in turn, the first once the ``stale``
+    ones are gone, former files that belong to the first as it was: whatever ends the process, what
+    stands beside it was made with it. An OSError names the path.
+    """
+    staged: dict[Path, Path] = {}
+
+    def place(path: str | Path) -> Path:
+        staged[Path(path)] = _beside(Path(path))
+        return staged[Path(path)]
+
+    try:
+        yield place
+        _move(staged, stale)
+    except OSError as error:
+        wanted = {str(temporary): str(path) for path, temporary in staged.items()}
+        if (name := wanted.get(str(error.filename))) is None:
+            raise
+        raise OSError(error.errno, error.strerror, name) from error
+    finally:
+        for temporary in staged.values():
+            temporary.unlink(missing_ok=True)
+
+
+def _move(staged: Mapping[Path, Path], stale: Iterable[str | Path]) -> None:
+    """Put temporary files into their places, after removing what is stale."""
+    for path in staged:
+        if path.is_dir():
+            raise IsADirectoryError(EISDIR, os.strerror(EISDIR), str(path))
+    for each in stale:
+        Path(each).unlink(missing_ok=True)
+    for path, temporary in staged.items():
+        temporary.replace(path)
+
+
+def _beside(path: Path) -> Path:
+    """An empty temporary file beside a path; an OSError names the path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         descriptor, name = tempfile.mkstemp(
@@ -45,44 +100,31 @@ def replacing(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
     os.close(descriptor)
-    temporary = Path(name)
-    try:
-        yield temporary
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    return Path(name)
 
 
 @contextmanager
-def claimed(folder: str | Path) -> Iterator[Path]:
+def claimed(
+    folder: str | Path, remedy: str = "wait for its end, or name another folder by --output"
+) -> Iterator[Path]:
     """A folder made if need be and held against other runs; what a killed run left is cleared.
 
     The lock is released by the system however the process ends. Windows has none: there, two runs
     in one folder replace each other's files, each of them whole. ValueError: the folder cannot be
-    made or written to, or another run holds it.
+    made or written to, or another run holds it, with the ``remedy`` for that.
     """
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / LOCK).open("a+", encoding="ascii")
     except (OSError, ValueError) as error:
-        remedy = "name a folder that can be written to, in the study or by --output"
-        raise _unwritable(f"output {folder}", error, remedy) from error
+        other = "name a folder that can be written to, in the study or by --output"
+        raise _unwritable(f"output {folder}", error, other) from error
     with lock:
         if not _taken(lock):
             lock.seek(0)
             holder = lock.read(100) or "process unknown"
-            raise ValueError(
-                f"output {folder}: another run is writing there ({holder}); wait for its "
-                "end, or name another folder by --output"
-            )
+            raise ValueError(f"output {folder}: another run is writing there ({holder}); {remedy}")
         for left in [*folder.glob(f".*{PARTIAL}"), *folder.glob(f"*/.*{PARTIAL}")]:
             left.unlink(missing_ok=True)
         yield folder

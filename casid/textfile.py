@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.folder import replacing
+from casid.folder import at_once, replacing
 from casid.limits import JSON_BYTES, check_file
 from casid.values import content_digest
 
@@ -16,6 +16,13 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text file whole or not at all: a crash leaves the old file as it was."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="")
+
+
+def write_texts(files: Mapping[Path, str]) -> None:
+    """Write text files of one result by path: all of them, or on a full disk none."""
+    with at_once() as place:
+        for path, text in files.items():
+            write_text(place(path), text)
 
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:

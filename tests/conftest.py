@@ -56,7 +56,7 @@ def copy(finished, tmp_path):
 def undrawn(monkeypatch):
     """Reports stay empty: nothing is drawn that a test does not look at."""
 
-    def write(_content, _sections, folder):
+    def write(_content, _sections, folder, _place):
         page = folder / "report.html"
         page.touch()
         return page

@@ -166,6 +166,8 @@ def largest_file(size):
 @pytest.mark.parametrize("size", [0, 30_000, 300_000])
 def test_a_full_disk_leaves_earlier_results_and_the_same_command_goes_on(size, copy):
     before, names = results(copy), check_whole(copy)
+    shown = [copy / "out" / name for name in names if not name.startswith("stages")]
+    held = {path: path.read_bytes() for path in shown}
     text = (copy / "study.toml").read_text(encoding="utf-8")
     (copy / "study.toml").write_text(text.replace("points = 20", "points = 12"), "utf-8")
     with largest_file(size):
@@ -177,8 +179,9 @@ def test_a_full_disk_leaves_earlier_results_and_the_same_command_goes_on(size, c
     assert "earlier results are kept; make room" in said
     assert check_whole(copy) >= names
     assert not list((copy / "out").rglob(".*.partial"))
+    assert {path: path.read_bytes() for path in shown} == held  # page, figures, fit and table
+    assert results(copy) == before
     if size == 0:  # not even a stage's result fits
-        assert results(copy) == before
         assert identify(copy / "study.toml").exit_code == 0
 
 
@@ -290,6 +293,16 @@ def test_a_folder_that_another_run_holds_is_refused(tmp_path):
         assert f"another run is writing there (process {os.getpid()})" in said
         assert "wait for its end, or name another folder by --output" in said
         assert [path.name for path in (tmp_path / "out").iterdir()] == [".lock"]
+
+
+def test_a_design_in_a_folder_that_another_run_holds_is_refused(tmp_path):
+    study = write_study(tmp_path)
+    with claimed(tmp_path / "out"):
+        result = CliRunner().invoke(main, ["design", str(study)])
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.stderr.split())
+    assert said.endswith(f"another run is writing there (process {os.getpid()}); wait for its end")
+    assert not (tmp_path / "out/design").exists()
 
 
 def test_what_a_killed_run_left_behind_is_cleared(tmp_path):

@@ -33,7 +33,7 @@ from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.output_error import OutputError
 from casid.shooting.whiteness import FED
 from casid.tabulation import csv_text, markdown_table
-from casid.textfile import write_text
+from casid.textfile import write_texts
 from casid.validation import Validation, validate
 
 OF_RECORDS = OPPOSED, FED  # how what residuals say of them begins
@@ -103,11 +103,14 @@ class BoundsComparison(Shown):
 
     def to_csv(self, path: str | Path) -> None:
         """Write one row a case and parameter, and beside it PATH_cases.csv with one row a case."""
+        write_texts(self.csv_files(path))
+
+    def csv_files(self, path: str | Path) -> dict[Path, str]:
+        """What `to_csv` writes, by file."""
         path = Path(path)
-        write_text(path, csv_text(PARAMETERS, list(_parameter_rows(self))))
-        write_text(
-            path.with_name(f"{path.stem}_cases.csv"), csv_text(CASES, list(_case_rows(self)))
-        )
+        cases = path.with_name(f"{path.stem}_cases.csv")
+        parameters = csv_text(PARAMETERS, list(_parameter_rows(self)))
+        return {path: parameters, cases: csv_text(CASES, list(_case_rows(self)))}
 
     def to_markdown(self) -> str:
         """The cases, then parameters and relations by price; * marks those held, ± one sigma.

@@ -14,7 +14,7 @@ from rich.text import Text
 from casid.commands.columns import pairs
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
 from casid.commands.terminal import caution, exits, logged, new_table
-from casid.design.injection import check_axes, check_channels, remove_own
+from casid.design.injection import check_axes, check_channels, is_own
 from casid.design.inputs import design_inputs
 from casid.design.loop import UnheldError
 from casid.design.plan import Design
@@ -23,6 +23,7 @@ from casid.design.specification import DesignSettings, Limits
 from casid.envelope import flight_condition
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit
+from casid.folder import at_once, claimed, replacing
 from casid.free import free_parameters
 from casid.model import Model
 from casid.nonlinear.balance import balanced
@@ -43,7 +44,8 @@ DPI = 120
 POOR = "poor"  # the verdict on an output that casts doubt on a design
 SCRIPTS = ("card.lua", "inject.py")  # of ArduPilot, of PX4
 BASELINE = "3-2-1-1"
-WRITTEN = ("card.csv", f"{BASELINE}.csv", *SCRIPTS, "design.md", "design.png", "errors.png")
+PICTURES = {"design.png": False, "errors.png": True}  # whether of the standard errors
+WRITTEN = ("card.csv", f"{BASELINE}.csv", *SCRIPTS, "design.md", *PICTURES)
 
 
 def _scaled(text: str) -> tuple[str, float]:
@@ -128,26 +130,22 @@ def design(
         if asked["px4"]:
             check_axes(what.model.inputs, asked["px4"])
         noise = None if isinstance(model, Fit) and tells_noise(model) else _noise(what)
-        made = design_inputs(
-            model, limits, what.design.duration if duration is None else duration, noise=noise,
-            feedback=_feedback(what, asked["feedback"]), trim=trim, settings=settings,
-        )  # fmt: skip
-        doubts = _doubts(what, model)
-        _say(console, made, structure, doubts)
-        folder = what.output / "design"
-        for script in SCRIPTS:  # of a former card
-            remove_own(folder / script)
-        write_text(folder / "card.csv", made.to_csv())
-        write_text(folder / f"{BASELINE}.csv", made.to_csv(BASELINE))
-        write_text(folder / "design.md", _page(made, settings, doubts))
-        for name, errors in (("design", False), ("errors", True)):
-            figure = np.ravel(made.plot(errors=errors))[0].figure
-            figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight")
-        if channels:
-            write_text(folder / SCRIPTS[0], made.to_ardupilot(channels, doubts=doubts))
-        if asked["px4"]:
-            write_text(folder / SCRIPTS[1], made.to_px4(asked["px4"], doubts=doubts))
-        _say_cards(console, made, folder)
+        feedback = _feedback(what, asked["feedback"])
+        with claimed(what.output, "wait for its end"):
+            made = design_inputs(
+                model, limits, what.design.duration if duration is None else duration,
+                noise=noise, feedback=feedback, trim=trim, settings=settings,
+            )  # fmt: skip
+            doubts = _doubts(what, model)
+            _say(console, made, structure, doubts)
+            scripts = {}
+            if channels:
+                scripts[SCRIPTS[0]] = made.to_ardupilot(channels, doubts=doubts)
+            if asked["px4"]:
+                scripts[SCRIPTS[1]] = made.to_px4(asked["px4"], doubts=doubts)
+            page = _page(made, settings, doubts)
+            _write(what.output / "design", made, {"design.md": page, **scripts})
+        _say_cards(console, made, what.output / "design")
 
 
 def _say_cards(console: Console, made: Design, folder: Path) -> None:
@@ -155,6 +153,21 @@ def _say_cards(console: Console, made: Design, folder: Path) -> None:
     for said, name in (("Card", "card"), *([] if made.gains else [(BASELINE, BASELINE)])):
         path = str((folder / f"{name}.csv").resolve())
         console.print(Text(f"{said}: ").append(path, style="bold"))
+
+
+def _write(folder: Path, made: Design, texts: Mapping[str, str]) -> None:
+    """Write cards, texts and pictures together: nothing stands beside the card of another."""
+    former = [folder / name for name in WRITTEN if name != "card.csv"]
+    stale = [each for each in former if each.name not in SCRIPTS or is_own(each)]
+    with at_once(*stale) as place:
+        write_text(place(folder / "card.csv"), made.to_csv())
+        write_text(place(folder / f"{BASELINE}.csv"), made.to_csv(BASELINE))
+        for name, text in texts.items():
+            write_text(place(folder / name), text)
+        for name, errors in PICTURES.items():
+            figure = np.ravel(made.plot(errors=errors))[0].figure
+            with replacing(place(folder / name)) as file:
+                figure.savefig(file, format="png", dpi=DPI, bbox_inches="tight")
 
 
 def _settings(

@@ -120,10 +120,9 @@ def digest(card: str) -> str:
     return hashlib.sha256(card.encode()).hexdigest()
 
 
-def remove_own(script: Path) -> None:
-    """Remove a script of a former card, and no file of somebody else."""
-    if script.exists() and OWN in script.read_text(encoding="utf-8", errors="replace"):
-        script.unlink()
+def is_own(script: Path) -> bool:
+    """Whether a file is there and a script of a former card, not of somebody else."""
+    return script.is_file() and OWN in script.read_text(encoding="utf-8", errors="replace")
 
 
 def _check_reach(name: str, r: Array, scale: float, end: int, unit: str, place: str) -> None:

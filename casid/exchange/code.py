@@ -21,7 +21,7 @@ from casid.folder import replacing
 from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
-from casid.textfile import write_text
+from casid.textfile import write_texts
 
 MOST = 10_000  # samples of a delay
 SLOWEST = 3600.0  # s between samples
@@ -102,8 +102,7 @@ def write_c(
         source, header = (Path(f"{path.stem}.{end}").read_text("utf-8") for end in "ch")
     own = {**usual, **(units or {})}
     head = _comment(linear, (path.stem, dt, hold, kind), own, step.size1_in(0))
-    write_text(path, head + source)
-    write_text(path.with_suffix(".h"), head + header)
+    write_texts({path: head + source, path.with_suffix(".h"): head + header})
 
 
 def write_fmu(

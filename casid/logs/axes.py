@@ -91,14 +91,14 @@ def axes_structure(records: Sequence[Record], source: str) -> str:
 
     ValueError: no input moves a rate that was logged.
     """
-    axes = [axis for stick in records[0].inputs if (axis := _axis(records, stick)) is not None]
+    axes = _axes(records)
     if not axes:
         raise ValueError(
             f"{source}: of the inputs {', '.join(records[0].inputs)} none is known to move a rate; "
             f"name them {', '.join(MOVES)}, or name a structure (--model)"
         )
     states = [name for axis in axes for name in (axis.state, axis.angle) if name]
-    outputs = [axis.rate for axis in axes] + [axis.angle for axis in axes if axis.angle]
+    outputs = _outputs(axes)
     A, B, C, D = ({} for _ in range(4))
     for axis in axes:
         damping, gain, _ = (f"self.{name}" for name in axis.names)
@@ -123,6 +123,19 @@ def axes_structure(records: Sequence[Record], source: str) -> str:
         measured=MEASURED.format(**direct) if D else "",
         delays=", ".join(f'"{axis.stick}": self.{axis.names[2]}' for axis in axes),
     )
+
+
+def axes_outputs(records: Sequence[Record]) -> tuple[str, ...]:
+    """Outputs of the class that `axes_structure` writes."""
+    return tuple(_outputs(_axes(records)))
+
+
+def _axes(records: Sequence[Record]) -> list[Axis]:
+    return [axis for stick in records[0].inputs if (axis := _axis(records, stick)) is not None]
+
+
+def _outputs(axes: Sequence[Axis]) -> list[str]:
+    return [axis.rate for axis in axes] + [axis.angle for axis in axes if axis.angle]
 
 
 def _axis(records: Sequence[Record], stick: str) -> Axis | None:

@@ -17,8 +17,9 @@ from casid.display import counted, listed
 from casid.errors import DataWarning
 from casid.excitations import excitation_if_any
 from casid.files import write_csv
+from casid.folder import at_once
 from casid.logs.assembly import Lateness, assemble, delays, hold_doubt, hold_told, usual_dt
-from casid.logs.axes import axes_structure
+from casid.logs.axes import axes_outputs, axes_structure
 from casid.logs.commands import still, undriven
 from casid.logs.conventions import (
     check_units,
@@ -362,17 +363,11 @@ def _write(
     """Write records, structure and study; ``said``: what is assumed, and told with the results."""
     kept = unseen([each.moved for each in found])
     parts = [[found[k].record for k in range(len(found)) if (k in kept) == own] for own in (0, 1)]
-    for record in (*parts[0], *parts[1]):
-        write_csv(study.parent / "data" / f"{record.name}.csv", record)
-    if model is None:
-        write_text(study.parent / "axes.py", axes_structure(parts[0], log.path.name))
-        reference = "axes.py:Axes"
-    else:
-        reference = ":".join(map(str, locate_model(model)))
+    reference = "axes.py:Axes" if model is None else ":".join(map(str, locate_model(model)))
+    own = axes_outputs(parts[0]) if model is None else load_model(reference, study.parent).outputs
     files = [json.dumps([f"data/{each.name}.csv" for each in part]) for part in parts]
     quiet = [all(each.quiet_samples() > REST / each.dt for each in part) for part in parts]
     trim = "first" if quiet[0] else "mean"
-    own = load_model(reference, study.parent).outputs
     beside = _beside([each.record for each in found], own)
     offered = {name: lag for name, lag in moves.items() if name in (*own, *beside)}
     lags = ", ".join(f"{name} = {lag:+.4f}" for name, lag in offered.items())
@@ -397,4 +392,9 @@ def _write(
         "trim": json.dumps(trim),
         "own_trim": json.dumps("identification" if quiet[0] and not quiet[1] else trim),
     }
-    write_text(study, TEMPLATE.format(**words))
+    with at_once() as place:
+        for record in (*parts[0], *parts[1]):
+            write_csv(place(study.parent / "data" / f"{record.name}.csv"), record)
+        if model is None:
+            write_text(place(study.parent / "axes.py"), axes_structure(parts[0], log.path.name))
+        write_text(place(study), TEMPLATE.format(**words))

@@ -37,16 +37,14 @@ USUAL = (0.1, 20.0)  # rad/s
 SLOW = 2.0  # 1/s, the reach of the enlarged plane of eigenvalues
 
 
-def save(drawing: Drawing, folder: str | Path, *, png: bool = False) -> Path:
-    """Write a figure as SVG, and as PNG if asked for; returns the path of the SVG."""
-    svg = Path(folder) / f"{drawing.name}.svg"
+def save(drawing: Drawing, svg: Path, png: Path | None = None) -> None:
+    """Write a figure as SVG, and as PNG if a path is given."""
     with rc_context(LOOK):
         with replacing(svg) as file:
             drawing.figure.savefig(file, format="svg", metadata={"Date": None})
-        if png:
-            with replacing(svg.with_suffix(".png")) as file:
+        if png is not None:
+            with replacing(png) as file:
                 drawing.figure.savefig(file, format="png", dpi=150, metadata={"Software": None})
-    return svg
 
 
 def systems(content: Content) -> dict[str, StateSpace]:

@@ -16,6 +16,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from casid.display import digits_beside_one
+from casid.folder import Place, at_once
 from casid.jobs.child_process import beside
 from casid.report import intervals
 from casid.report.answer import theil_place
@@ -54,15 +55,23 @@ class Chapter:
     body: Markup
 
 
-def write_report(content: Content, sections: Sequence[Section], folder: str | Path) -> Path:
-    """Write report.html and figures/*.svg, *.png too if asked for; returns the path of the page."""
+def write_report(
+    content: Content, sections: Sequence[Section], folder: str | Path, place: Place | None = None
+) -> Path:
+    """Write report.html and figures/*.svg, *.png too if asked for; returns the path of the page.
+
+    ``place`` puts them beside other files of the result (`casid.folder.at_once`).
+    """
     # The sections may come in any order; the folder is made if need be.
+    if place is None:
+        with at_once() as own:
+            return write_report(content, sections, folder, own)
     folder = Path(folder)
     ordered = sorted(sections, key=lambda each: each.place)
     page = _environment().get_template("report.html.j2")
     drawings = {id(each): list(each.draw()) for each in ordered if each.title}
     every = [one for each in drawings.values() for one in each]
-    pictures = _pictures(every, folder / "figures", png=content.png)
+    pictures = _pictures(every, folder / "figures", place, png=content.png)
     chapters = [
         Chapter(name=each.name, title=each.title, body=body(each, content, own))
         for each in ordered
@@ -78,7 +87,7 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
         cautions=cautions(content, sections),
         plotly=base64.b64encode(PLOTLY.read_bytes()).decode("ascii"),
     )
-    write_text(folder / "report.html", text)
+    write_text(place(folder / "report.html"), text)
     return folder / "report.html"
 
 
@@ -107,18 +116,21 @@ def body(section: Section, content: Content, pictures: Sequence[Picture] = ()) -
     return Markup(found.render(values))
 
 
-def _pictures(drawings: Sequence[Drawing], folder: Path, *, png: bool) -> dict[str, Picture]:
+def _pictures(
+    drawings: Sequence[Drawing], folder: Path, place: Place, *, png: bool
+) -> dict[str, Picture]:
     """All drawings by name, every second one drawn in a process beside this one if that can be."""
     folder.mkdir(parents=True, exist_ok=True)
-    halves = [drawings[::2], drawings[1::2]]
-    with beside(partial(_drawn, halves[1], folder, png=png)) as other:
-        pictures = [*_drawn(halves[0], folder, png=png), *other()]
+    ends = ("svg", "png") if png else ("svg",)
+    own = [(each, [place(folder / f"{each.name}.{end}") for end in ends]) for each in drawings]
+    with beside(partial(_drawn, own[1::2])) as other:
+        pictures = [*_drawn(own[::2]), *other()]
     return {picture.name: picture for picture in pictures}
 
 
-def _drawn(drawings: Sequence[Drawing], folder: Path, *, png: bool) -> list[Picture]:
+def _drawn(drawings: Sequence[tuple[Drawing, Sequence[Path]]]) -> list[Picture]:
     with rc_context(LOOK), _uncollected():
-        return [_picture(drawing, folder, png=png) for drawing in drawings]
+        return [_picture(drawing, *files) for drawing, files in drawings]
 
 
 @contextmanager
@@ -135,8 +147,8 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def _picture(drawing: Drawing, folder: Path, *, png: bool) -> Picture:
-    svg = save(drawing, folder, png=png)
+def _picture(drawing: Drawing, svg: Path, png: Path | None = None) -> Picture:
+    save(drawing, svg, png)
     plot = packed(interactive(drawing.figure)) if drawing.interactive else None
     source = address(svg.read_text(encoding="utf-8"))
     return Picture(name=drawing.name, caption=drawing.caption, source=source, plot=plot)

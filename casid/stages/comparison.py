@@ -16,7 +16,7 @@ from casid.fit import AnyFit
 from casid.report.content import Content, Section, section
 from casid.stages.chain import CHAIN, Chain
 from casid.stages.stage import Stage, Task, lacking, records_of, runnable
-from casid.textfile import write_text
+from casid.textfile import write_texts
 
 WHOLE = "chain"
 
@@ -75,8 +75,8 @@ def _run(settings: Cases, task: Task) -> BoundsComparison:
     )
     if task.execution.folder is not None:
         folder = Path(task.execution.folder)
-        found.to_csv(folder.with_suffix(".csv"))
-        write_text(folder.with_suffix(".md"), found.to_markdown() + "\n")
+        page = {folder.with_suffix(".md"): found.to_markdown() + "\n"}
+        write_texts({**found.csv_files(folder.with_suffix(".csv")), **page})
     return found
 
 

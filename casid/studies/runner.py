@@ -14,7 +14,7 @@ from casid.chain import Identification
 from casid.consistency.reused_flights import Repeats
 from casid.errors import ConvergenceError, DataWarning, warn
 from casid.fit import AnyFit, ParameterEstimate
-from casid.folder import claimed
+from casid.folder import Place, at_once, claimed
 from casid.record import Record
 from casid.report.content import Content, Section, Timing, cautions, contradicted, enough
 from casid.report.verdicts import Verdict, verdicts
@@ -222,17 +222,18 @@ def _run(
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
     last = _last(found.results)
 
-    def write() -> tuple[Path, Content, tuple[Section, ...]]:
+    def write(place: Place) -> tuple[Path, Content, tuple[Section, ...]]:
         # Seconds of what is computed every time would make two pages of one result differ.
         clock = [timing for timing in keeper.clock if timing.stage in lasting]
         shown = content(study, records, again, found, clock, keeper.warnings)
         told = sections(study.stages, found.results, shown)
-        return pages.write_report(shown, told, study.output), shown, tuple(told)
+        return pages.write_report(shown, told, study.output, place), shown, tuple(told)
 
-    report, shown, told = keeper.timed("report", write)
-    if last is not None:  # after the page, which takes longest: together they are of one run
-        last.save(study.output / "fit.json")
-        write_parameters(study.output / "parameters.csv", last)
+    with at_once() as place:
+        report, shown, told = keeper.timed("report", partial(write, place))
+        if last is not None:
+            last.save(place(study.output / "fit.json"))
+            write_parameters(place(study.output / "parameters.csv"), last)
     for failure in found.failures.values():
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best

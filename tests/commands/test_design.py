@@ -8,11 +8,14 @@ from dataclasses import replace
 import click.testing
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
 from truths.roll_study import Truth, write_study
 
 from casid import Fit, NonlinearModel, Record, Scalar, output_error, parameter
 from casid.cli import main
-from casid.commands.design import _condition, _doubts
+from casid.commands.design import PICTURES, _condition, _doubts, _write
+from casid.design.injection import OWN
 from casid.report.verdicts import Verdict
 from casid.studies.runner import run_study
 from casid.studies.study import read_records
@@ -57,6 +60,45 @@ def test_the_studys_table_says_what_is_asked_for_and_options_come_first(tmp_path
     run(study, "--duration", "11", "--px4", "lat=y:900", "-o", tmp_path / "out")
     assert not (tmp_path / "out/design/card.lua").exists()  # it would fly the card of before
     assert 'lat", 900.0' in (tmp_path / "out/design/inject.py").read_text()
+
+
+class Drawn:
+    """A design with a number on everything; its standard errors cannot be drawn, if so said."""
+
+    def __init__(self, number, ending=None):
+        self.number, self.ending = number, ending
+
+    def to_csv(self):
+        return f"t,lat\n0,{self.number}\n"
+
+    def plot(self, *, errors):
+        if errors and self.ending is not None:
+            raise self.ending
+        axes = Figure((1 + self.number, 1)).subplots()
+        axes.axis("off")
+        return axes
+
+
+def sizes(folder):
+    """Widths of the pictures, in pixels."""
+    return {name: imread(folder / name).shape[1] for name in PICTURES}
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt(), OSError(28, "No space left on device")])
+def test_a_design_that_could_not_be_written_leaves_the_one_of_before(tmp_path, ending):
+    script = f"-- {OWN}"
+    _write(tmp_path, Drawn(1), {"design.md": "one", "card.lua": script})
+    (tmp_path / "inject.py").write_text("the user's", encoding="utf-8")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(type(ending)):
+        _write(tmp_path, Drawn(2, ending), {"design.md": "two"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    first = sizes(tmp_path)
+    card = _write(tmp_path, Drawn(2), {"design.md": "two"})
+    assert card.read_text(encoding="utf-8") == Drawn(2).to_csv()
+    assert all(sizes(tmp_path)[name] > width for name, width in first.items())
+    assert not (tmp_path / "card.lua").exists()
+    assert (tmp_path / "inject.py").read_text(encoding="utf-8") == "the user's"
 
 
 def test_a_key_that_nobody_reads_is_refused_when_the_study_is_read(tmp_path):

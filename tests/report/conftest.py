@@ -17,9 +17,9 @@ def content(study_folder):
     """What the runner hands to the report at the end of a small study."""
     kept = []
 
-    def keeping(content, sections, folder):
+    def keeping(content, sections, folder, place):
         kept.append(content)
-        return write_report(content, sections, folder)
+        return write_report(content, sections, folder, place)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("casid.report.write_report", keeping)
