@@ -125,8 +125,9 @@ def claimed(
             lock.seek(0)
             holder = lock.read(100) or "process unknown"
             raise ValueError(f"output {folder}: another run is writing there ({holder}); {remedy}")
-        for left in [*folder.glob(f".*{PARTIAL}"), *folder.glob(f"*/.*{PARTIAL}")]:
-            left.unlink(missing_ok=True)
+        for depth in ("", "*/", "*/*/"):
+            for left in folder.glob(f"{depth}.*{PARTIAL}"):
+                left.unlink(missing_ok=True)
         yield folder
 
 

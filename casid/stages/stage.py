@@ -43,7 +43,7 @@ class Task:
     hold : str
         What is stated of the inputs between samples, if anything is.
     execution : Execution
-        Where a stage of many fits runs them, and in which folder.
+        Where a stage of many fits runs them, and in which folder each is kept as it ends.
     """
 
     model: Model

@@ -11,6 +11,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from importlib import import_module
 from logging.handlers import BufferingHandler
+from shutil import rmtree
 from typing import Any, TypeAlias, TypeVar
 
 from casid.bounds.pooled_warnings import kind
@@ -101,7 +102,7 @@ class Keeper:
                 return
         busy = sum(begun is not None for begun in self._begun.values())
         if busy < cores() > 1:
-            work = partial(_apart, stage, settings, task)
+            work = partial(_apart, stage, settings, self._ready(stage, task))
             self._begun[stage.name] = self.processes.enter_context(beside(work))
 
     def timed(self, name: str, step: Callable[[], T]) -> T:
@@ -127,12 +128,25 @@ class Keeper:
         """What a stage finds, here or in the process that has begun it."""
         self._watch.begin(stage.name)
         if (begun := self._begun.pop(stage.name, None)) is None:
-            return _made(stage, watched(settings, self._watch.progress), task)
+            own = watched(settings, self._watch.progress)
+            return _made(stage, own, self._ready(stage, task))
         import_module("casid.report.html")  # needed in the end: the other process may still work
         done, logged = begun()
         for each in logged:
             LOG.handle(each)
         return done
+
+    def _ready(self, stage: Stage, task: Task) -> Task:
+        """The task with the folder in which a stage of many fits keeps each of them.
+
+        What else than casid computes such a fit stands in the stage's key only.
+        """
+        if own_source(stage.run):
+            return task
+        folder = self._store.path(stage.name).with_suffix("")
+        if self._fresh:
+            rmtree(folder, ignore_errors=True)
+        return replace(task, execution=Execution(folder=folder))
 
     def _with_best(self, stage: Stage, error: ConvergenceError) -> ConvergenceError:
         """The error, its best iterate written to a file."""

@@ -1,20 +1,29 @@
 """Keeping the results of stages, going on where a study stopped."""
 
 import importlib
+import json
 import logging
 import os
+import re
 import sys
 import time
 import warnings
+from contextlib import suppress
 from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from truths.closed_roll import campaign, off
 from truths.roll_study import write_study
 
-from casid import ConvergenceError, DataWarning, read_study, run_study
+from casid import ConvergenceError, DataWarning, OutputError, output_error, read_study, run_study
 from casid.stages.black_box import Pbsid
+from casid.stages.choice import CHOICE, Choosing
 from casid.stages.stage import Stage, run_stages
 from casid.studies.keeping import Keeper, Watch
+from casid.values import encode
 
 
 def _kept(outcome):
@@ -186,6 +195,58 @@ def test_what_a_study_has_told_its_comparison_does_not_tell_again(tmp_path):
     keeper.warnings = ["the second has doubts", "off by 7 of 9"]
     keeper(Stage(name="x", does="", run=_others, command="bounds"), None, study.task({}, {}))
     assert keeper.warnings[2:] == ["new by 2"]
+
+
+@cache
+def _made():
+    records = tuple(each.decimate(2) for each in campaign(1, 3))
+    return records, output_error(off(share=0.1), records[0], interval=2.0)
+
+
+def _choose(folder, monkeypatch, *, at=None, fresh=False):
+    """Fits made by a choice, which is interrupted in one of them if so said, and its result."""
+    study = replace(read_study(write_study(folder)), model=off(share=0.1))
+    (records, made), fits = _made(), []
+    task = replace(
+        study.task({"identification": records}, {}),
+        records=records, results={"quadratic": SimpleNamespace(model=study.model)},
+    )  # fmt: skip
+
+    def fit(_, model, data, **__):
+        fits.append(data)
+        if len(fits) == at:
+            raise KeyboardInterrupt
+        Lp = model.Lp * (1 + 0.01 * sum(float(np.std(each.y)) for each in data))
+        return replace(made, model=replace(model, Lp=Lp))
+
+    keeper = Keeper(study, Lines(), [], fresh=fresh, command="")
+    with monkeypatch.context() as patch, suppress(KeyboardInterrupt):
+        patch.setattr(OutputError, "fit", fit)
+        found = keeper(CHOICE, Choosing(candidates=("time",)), task)
+        return len(fits), re.sub(r'"seconds": [^,]*,', "", json.dumps(encode(found)))
+    return len(fits), None
+
+
+@pytest.mark.second
+def test_an_interrupted_choice_goes_on_with_the_fits_it_has(tmp_path, monkeypatch):
+    whole, here = tmp_path / "whole", tmp_path / "here"
+    whole.mkdir()
+    here.mkdir()
+    count, expected = _choose(whole, monkeypatch)
+    assert count == 4  # of all, and without each of three
+    assert _choose(here, monkeypatch, at=3) == (3, None)
+    assert _choose(here, monkeypatch) == (2, expected)
+    assert _choose(here, monkeypatch)[0] == 0
+    (here / "out/stages/choice.json").unlink()
+    assert _choose(here, monkeypatch, at=2, fresh=True) == (2, None)
+    assert _choose(here, monkeypatch) == (3, expected)
+
+
+def test_fits_of_a_stage_of_an_outsider_rest_on_its_own_code_and_are_not_kept(tmp_path):
+    folders = []
+    stage = Stage(name="own", does="", run=lambda _, task: folders.append(task.execution.folder))
+    _run(tmp_path, stage)
+    assert folders == [None]
 
 
 @pytest.mark.parametrize("part", ["source_digest", "structure_digest", "equations_digest"])
