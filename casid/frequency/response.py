@@ -24,8 +24,9 @@ COMPLEX = ("G", *CORRELATIONS)
 MOST = {"coherence": 1.0} | dict.fromkeys(PAIRWISE[2:], np.inf)
 ROUNDING = 1e-9
 FED_BACK = (
-    "half or more of the response after {!r} is noise that is fed back into it, so it is left "
-    "out (NaN): without input from outside it would be the controller's inverse"
+    "half or more of the response after {!r} may be noise that is fed back into it, or what no "
+    "linear model follows (backlash, a rate limit), so it is left out (NaN): of feedback it would "
+    "be the controller's inverse; which of both it is, distortion() tells by two amplitudes"
 )
 UNDRIVEN = (
     "the references hardly move {!r}, so its responses are left out (NaN): they would show only "

@@ -235,8 +235,9 @@ def _warn_fed_back(remedy: str) -> str:
     """Warn that the estimate is biased; what was said."""
     said = (
         "inputs follow the black box's residuals so strongly (noise that a controller feeds "
-        "back, or dynamics that it lacks, such as a delay) that it may be biased and cannot "
-        f"judge a structure; {remedy}; a smaller pole or less feedback helps too"
+        "back, or dynamics that it lacks, such as a delay, backlash or a rate limit) that it may "
+        f"be biased and cannot judge a structure; {remedy}; a smaller pole or less feedback helps "
+        "too, and of what is not linear distortion() tells by two amplitudes"
     )
     warn(said)
     return said[0].upper() + said[1:] + "."

@@ -176,3 +176,26 @@ def test_channels_that_rest_have_none():
 
 def test_together_flights_share_one_autoregression():
     assert len(flights(loop(4), together=True).models) == 1
+
+
+def with_backlash(width):
+    """Two sweeps, one reversed, of a first-order lag behind backlash, flown in open loop."""
+    t, records = DT * np.arange(3000), []
+    phase = 2 * np.pi * (0.06 * (t - 2) + 0.7 * (t - 2) ** 2 / 56)
+    u = 0.05 * np.sin(phase) * (t > 2) * (t < 58) * np.clip((t - 2) / 3, 0, 1)
+    rng = np.random.default_rng(1)
+    for sign in (1, -1):
+        played = [0.0]
+        for command in sign * u[1:]:
+            played.append(min(max(played[-1], command - width), command + width))
+        y = StateSpace([[-2.0]], [[10.0]], [[1.0]], [[0.0]]).simulate(t, np.array(played)[:, None])
+        y += 0.004 * rng.standard_normal(y.shape)
+        records.append(Record(t, sign * u[:, None], y, ("lon",), ("q",), f"sweep {sign}"))
+    return records
+
+
+def test_what_looks_fed_back_in_open_loop_is_said_to_be_perhaps_nonlinear():
+    assert np.isfinite(frequency_response(with_backlash(0.0)).G).all()
+    with pytest.warns(DataWarning, match="fed back into it, or what no linear model follows"):
+        found = frequency_response(with_backlash(0.015))
+    assert np.isnan(found.G[list(found.flags[FED_BACK.format("lon")])]).all()
