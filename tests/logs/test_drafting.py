@@ -44,12 +44,21 @@ def test_a_log_becomes_a_study_that_is_in_order(drafts, name):
 
 
 @pytest.mark.second
-def test_a_draft_is_never_overwritten(drafts):
+def test_a_draft_is_never_overwritten(drafts, monkeypatch):
     draft = drafts["flight.ulg"]
     draft.study.write_text("mine")
     with pytest.raises(ValueError, match="is there already"):
         import_log(draft.log.path, draft.study.parent)
     assert draft.study.read_text() == "mine"
+    (draft.study.parent / "axes.py").write_text("mine, too")
+    files = [path for path in draft.study.parent.rglob("*") if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
+    with monkeypatch.context() as patch:
+        patch.setattr(drafting, "TEMPLATE", "{what stops it at the last file}")
+        with pytest.raises(KeyError):
+            import_log(draft.log.path, draft.study.parent, fresh=True)
+    now = [path for path in draft.study.parent.rglob("*") if path.is_file()]
+    assert {path: path.read_bytes() for path in now} == before
     import_log(draft.log.path, draft.study.parent, fresh=True)
     assert read_study(draft.study).title == "flight"
 
