@@ -68,8 +68,8 @@ class Drawn:
     def __init__(self, number, ending=None):
         self.number, self.ending = number, ending
 
-    def to_csv(self):
-        return f"t,lat\n0,{self.number}\n"
+    def to_csv(self, sequence="card"):
+        return f"t,lat\n0,{self.number}\n{sequence}\n"
 
     def plot(self, *, errors):
         if errors and self.ending is not None:
@@ -94,8 +94,9 @@ def test_a_design_that_could_not_be_written_leaves_the_one_of_before(tmp_path, e
         _write(tmp_path, Drawn(2, ending), {"design.md": "two"})
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     first = sizes(tmp_path)
-    card = _write(tmp_path, Drawn(2), {"design.md": "two"})
-    assert card.read_text(encoding="utf-8") == Drawn(2).to_csv()
+    _write(tmp_path, Drawn(2), {"design.md": "two"})
+    for name, ways in (("card.csv", ()), ("3-2-1-1.csv", ("3-2-1-1",))):
+        assert (tmp_path / name).read_text(encoding="utf-8") == Drawn(2).to_csv(*ways)
     assert all(sizes(tmp_path)[name] > width for name, width in first.items())
     assert not (tmp_path / "card.lua").exists()
     assert (tmp_path / "inject.py").read_text(encoding="utf-8") == "the user's"
