@@ -33,6 +33,7 @@ from casid.shooting.uncertainty import own_step, residual_covariance
 QUIET = 1e-3  # of what each parameter moves: lines above, which hold less, are left out
 SAME = 1e-7  # of the largest direction of initial states and biases: one that is another
 LEAST = 8  # lines of a record, at least
+MORE = 2.0  # times the variance of scores where the structure misses something
 FEWEST = 4.0  # degrees of freedom of noise on a line that count: its neighbours tell of it, too
 
 Pieces = Iterable[Iterable[Array]]
@@ -106,8 +107,8 @@ def contradiction(
     its own, (n, ny, m). ``P`` (nf, nf) is the inverse information, 0 of what is held, ``F`` the
     information and ``slope`` (nf,) that of the whole cost.
 
-    None as well where residuals of all follow the inputs: what the structure misses may set all
-    apart.
+    Where residuals of all follow the inputs, what the structure misses may set records apart: of
+    each more is allowed there, and nothing is told of all together.
     """
     parts = zip(flown, kinds(flown), residuals, *along, strict=True)
     lines, made, rest = zip(*(_transformed(*each) for each in parts), strict=True)
@@ -125,11 +126,19 @@ def contradiction(
     told = found.discord(lines, spectra)
     if told is None:
         return None
-    if told.any is None:
-        chances = [each.chance for each in followed(lines, made, taken, spectra)]
-        if min(chances) < FOLLOWS / len(chances):
+    chances = [each.chance for each in followed(lines, made, taken, spectra)]
+    if min(chances) < FOLLOWS / len(chances):
+        found = _loosened(found)
+        told = found.discord(lines, spectra) if found.scatter else None
+        if told is None or told.any is None:
             return None
     return found, told
+
+
+def _loosened(found: Opposed) -> Opposed:
+    """The same, with scores that scatter by more."""
+    sources = [each._replace(S=MORE * each.S) for each in found.records.sources]
+    return found._replace(records=found.records._replace(sources=sources))
 
 
 def _transformed(

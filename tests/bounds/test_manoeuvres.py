@@ -320,12 +320,9 @@ def test_what_is_left_out_is_not_there():
 def test_a_structure_that_lacks_a_derivative_is_not_enough():
     candidates = {"whole": TRUTH, "bare": Bare()}
     way = OutputError(domain="frequency")
-    with (
-        pytest.warns(DataWarning, match="^candidate 'bare': .* rests on few lines"),
-        pytest.warns(DataWarning, match="^candidate 'bare': .* follow the inputs"),
-    ):
+    with pytest.warns(DataWarning, match="^candidate 'bare': .* follow the inputs"):
         found = compare_structures(candidates, RECORDS, estimator=way, execution=HERE)
-    assert list(map(len, found.warnings.values())) == [0, 2]
+    assert list(map(len, found.warnings.values())) == [0, 1]
     assert found.simplest == "whole"
     assert found.parameters == (7, 6)
     assert found.excess[0][1] > 0.1
