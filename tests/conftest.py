@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401 - loads the libraries that are limited
 from hypothesis import HealthCheck, settings
@@ -23,14 +24,22 @@ settings.register_profile("ci", max_examples=200, derandomize=True, **patient)
 settings.register_profile("fixed", max_examples=25, derandomize=True, **patient)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))
 
+BEGUN = {}  # generators of the tests' modules, and the states in which these were imported
+
 signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
 threadpool_limits(1)  # for what tests compute themselves; casid sets its own
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Leave to the campaigns what repeats with other parameters what the first ones show."""
+    """Leave to the campaigns what repeats with other parameters what the first ones show.
+
+    And keep from where the modules' generators begin.
+    """
     before = Counter()
+    for module in {getattr(item, "module", None) for item in items} - {None}:
+        drawn = [each for each in vars(module).values() if isinstance(each, np.random.Generator)]
+        BEGUN[module] = [(each, each.bit_generator.state) for each in drawn]
     for item in items:
         mark = item.get_closest_marker("repeats")
         if mark and not item.get_closest_marker("campaign"):
@@ -62,6 +71,13 @@ def undrawn(monkeypatch):
         return page
 
     monkeypatch.setattr("casid.report.write_report", write)
+
+
+@pytest.fixture(autouse=True)
+def own_draws(request):
+    """Every test draws what it draws alone, whatever ran in its process before."""
+    for generator, state in BEGUN.get(getattr(request.node, "module", None), ()):
+        generator.bit_generator.state = state
 
 
 @pytest.fixture(autouse=True)

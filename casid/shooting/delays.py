@@ -92,10 +92,6 @@ class Delay:
         found = self._nearest(self.value)
         return np.asarray(found[np.abs(self.value - found) < NEAR * self.apart])
 
-    def on(self) -> bool:
-        """Whether it is on a break, as far as a solver's bounds are."""
-        return bool((np.abs(self.value - self._nearest(self.value)) < EDGE * self.apart).any())
-
     def _nearest(self, value: float) -> Array:
         """The break (m,) of every kind that is nearest to a value."""
         n = np.round((value - self.first) / self.apart)
@@ -185,14 +181,6 @@ def calm(programme: Programme, lam: Array, but: int | None = None) -> tuple[Free
 def stuck(programme: Programme, lam: Array) -> bool:
     """Whether a kink within the bounds may hold a solve that ends at free values (nf,)."""
     return any(each.held(programme.free) for each in _delays(programme, lam))
-
-
-def on_breaks(programme: Programme, lam: Array) -> BoolArray:
-    """Which free values (nf,) are delays on a break of the likelihood, of two slopes or none."""
-    found = np.zeros(len(lam), dtype=bool)
-    for delay in _delays(programme, lam):
-        found[delay.a] |= delay.on()
-    return found
 
 
 def _within(

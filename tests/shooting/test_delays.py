@@ -25,13 +25,12 @@ from casid import (
     output_error,
     parameter,
 )
-from casid.errors import unasked
 from casid.free import free_parameters
 from casid.shooting import search
-from casid.shooting.delays import calm, neighbours, on_breaks, own_prices, stuck
+from casid.shooting.delays import calm, neighbours, own_prices, stuck
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator
-from casid.shooting.starting import neighbouring_programme, starting_programme
+from casid.shooting.starting import starting_programme
 
 
 def flights(structure, hold, delay, seed):
@@ -116,23 +115,6 @@ def test_a_solve_is_held_by_kinks_near_its_end_but_not_by_those_at_its_bounds():
     assert not held(3.05, (0.06, 0.08))  # where its stretch begins
     assert not held(2.95, (0.04, 0.06))
     assert held(3.05, (0.05, 0.08))
-
-
-@pytest.mark.second
-@pytest.mark.parametrize(
-    ("hold", "late", "on"),
-    [("zoh", 1.0, True), ("zoh", 1.0 + 1e-7, True), ("zoh", 1.001, False), ("foh", 1.02, False)],
-)
-def test_on_a_break_of_its_likelihood_a_delay_is_known_to_be_there(hold, late, on):
-    rng = np.random.default_rng(3)
-    pair = [flight(Roll(tau=delay * H), hold, delay, rng) for delay in (0.8, 1.2)]
-    with unasked():
-        near = output_error(Roll(tau=late * H), pair, fixed=["tau"])
-    free = free_parameters(near.model, bounds=BOUNDS)
-    begun = neighbouring_programme(Evaluator(free, lay_out(pair, 20.0)), free, None, True, near)
-    programme, point = begun
-    names = np.array(free.names)[on_breaks(programme, point.lam)].tolist()
-    assert names == ["tau"] * on
 
 
 def test_one_delay_is_tried_while_those_on_kinks_stay_in_their_stretch():

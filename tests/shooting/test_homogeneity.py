@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lsim
+from truths.banked import told
 from truths.structures import Banking
 
 from casid import DataWarning, Record, output_error
@@ -27,14 +28,6 @@ def flown(count, seed):
         y = lsim(system, u, T)[1] + rng.standard_normal((len(T), 2)) * [0.03, 0.01]
         made.append(Record(T, u[:, None], y, Banking.inputs, Banking.outputs, f"flight {k}"))
     return made
-
-
-def told(records, **settings):
-    """The fit and what is said of records that contradict each other."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", DataWarning)
-        fit = output_error(Banking(), records, **settings)
-    return fit, [str(each.message) for each in caught if str(each.message).startswith(OPPOSED)]
 
 
 @pytest.mark.second

@@ -1,17 +1,16 @@
 """Records that contradict each other by residuals in time: found, and seldom told by chance."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
+from truths.banked import told
 from truths.structures import Banking
 
-from casid import DataWarning, Record, output_error
+from casid import Record, output_error
 from casid.errors import unasked
 from casid.shooting.hausman import Source
-from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.outlying_records import Records
 from casid.shooting.temporal_homogeneity import contradiction
 
@@ -33,14 +32,6 @@ def flown(gains, seed, colour=0.0, lag=0.0, *, alike=False, sizes=()):
         y = lsim(system, heard, T)[1] + e * np.sqrt(1 - colour**2) * [0.03, 0.01]
         made.append(Record(T, u[:, None], y, Banking.inputs, Banking.outputs, f"flight {k}"))
     return made
-
-
-def told(records, **settings):
-    """The fit and what is said of records that contradict each other."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", DataWarning)
-        fit = output_error(Banking(), records, **settings)
-    return fit, [str(each.message) for each in caught if str(each.message).startswith(OPPOSED)]
 
 
 @pytest.mark.second
