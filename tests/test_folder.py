@@ -54,12 +54,13 @@ def test_files_of_one_result_are_replaced_all_or_none(tmp_path):
         assert seen(tmp_path) == former
     written(tmp_path, *stale)
     assert seen(tmp_path) == {"card": "new", "picture": "new", "mine": "old"}
+    (tmp_path / "card").write_text("of before")
     (tmp_path / "picture").unlink()
     (tmp_path / "picture").mkdir()
     with pytest.raises(IsADirectoryError, match="picture"):
         written(tmp_path)
     (tmp_path / "picture").rmdir()
-    assert seen(tmp_path) == {"card": "new", "mine": "old"}
+    assert seen(tmp_path) == {"card": "of before", "mine": "old"}
 
 
 @pytest.mark.parametrize("moves", range(3))
@@ -105,11 +106,11 @@ def test_a_failure_to_write_names_the_file_and_not_the_temporary_one(tmp_path):
 
 def test_a_folder_is_held_by_one_run_and_cleared_of_what_a_killed_one_left(tmp_path):
     folder = tmp_path / "out"
-    folder.mkdir()
-    left = folder / f".fit.json.x{PARTIAL}"
-    left.write_text("half")
+    for depth in ("", "stages", "stages/choice"):
+        (folder / depth).mkdir(parents=True, exist_ok=True)
+        (folder / depth / f".fit.json.x{PARTIAL}").write_text("half")
     with claimed(folder):
-        assert not left.exists()
+        assert not list(folder.rglob(f".*{PARTIAL}"))
         with pytest.raises(ValueError, match="another run is writing there"), claimed(folder):
             pass
         with pytest.raises(ValueError, match=r"\); wait$"), claimed(folder, "wait"):

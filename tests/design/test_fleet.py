@@ -12,7 +12,7 @@ from casid.design.optimise import Task
 
 G, LIFT, MOMENT, C = 9.80665, 0.05, 0.02, 0.25
 NOISE = {"V": 0.1, "alpha": 0.005, "q": 0.01, "theta": 0.005}
-SHARES = np.array([3.0, 0.08, 0.5, 0.35])
+SHARES = np.array([6.0, 0.2, 1.0, 0.7])
 
 
 class Car(NonlinearModel):
@@ -65,6 +65,8 @@ def test_aircraft_without_a_trim_and_those_that_are_not_held_are_counted_and_lef
     assert (held.count, held.untrimmed, held.unheld) == (4, 1, 0)
     weak = fleet(asked(*values, climbs=0.0), {"e": {"theta": 0.1}})  # 0.2 1/s² against 1.2
     assert (weak.count, weak.untrimmed, weak.unheld) == (3, 1, 1)
+    fast = fleet(asked({"a": 4.0}, climbs=0.0), {"e": {"theta": 4.0, "q": 1.0}})  # e^19 in 10 s
+    assert (fast.count, fast.unheld) == (0, 1)
 
 
 def test_what_nine_in_ten_stay_below_is_the_same_if_only_those_that_decide_are_flown():
@@ -157,8 +159,8 @@ def test_nine_in_ten_aircraft_of_other_draws_keep_the_limits_in_nonlinear_flight
     trim = dict(zip(("V", "alpha", "q", "theta", "elevator"), (*x0.tolist(), e0), strict=True))
     names = Glider.states
     limits = Limits(
-        sticks={"elevator": 0.06},
-        rates={"elevator": 0.6},
+        sticks={"elevator": 0.2},
+        rates={"elevator": 1.0},
         responses=dict(zip(names, SHARES.tolist(), strict=True)),
     )
     settings = DesignSettings(dt=0.05, iterations=9, method="steps")
@@ -166,6 +168,7 @@ def test_nine_in_ten_aircraft_of_other_draws_keep_the_limits_in_nonlinear_flight
     rng = np.random.default_rng(3)
     drawn = {n: v * np.exp(0.2 * rng.standard_normal(600)) for n, v in usual.items()}
     assert made.unheld == made.untrimmed == 0
+    # Judged by their linearisations alone .30 and .25 of those after 3-2-1-1 and steps are beyond.
     for each in made.alternatives:  # all on the same terms
         beyond = (flown(drawn, made.t, each.r[:, 0]) / SHARES[:, None]).max(axis=0) > 1
         # of 96 and of 600 draws: a standard deviation of 0.033

@@ -1,6 +1,7 @@
 """Records that contradict each other by residuals in time: found, and seldom told by chance."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -107,14 +108,15 @@ def asked(left, slopes, P, F):
     return records, [-r for r in left], ([[s] for s in slopes], own), P, F, np.zeros(len(P))
 
 
-def drawn(rng, n, colour, loud, off=0.0):
-    """What is known of least squares of records with noise of a colour."""
+def drawn(rng, n, colour, loud, off=0.0, apart=(0.0, 0.0, 0.0)):
+    """What is known of least squares of records with noise of a colour, one or all of them off."""
     slopes = [
         lfilter([1], [1, -0.9], rng.standard_normal((k, 2, n)), axis=0) for k in (150, 90, 220)
     ]
     noise = [lfilter([1], [1, -colour], rng.standard_normal((len(s), 2)), axis=0) for s in slopes]
     noise[0] *= loud
     noise[1] = noise[1] + off * slopes[1][:, :, 0]
+    noise = [e + each * s[:, :, 0] for e, s, each in zip(noise, slopes, apart, strict=True)]
     noise = [e / np.std(np.concatenate(noise)) for e in noise]
     F = np.sum([np.einsum("nik,nil->kl", s, s) for s in slopes], axis=0)
     P = np.linalg.inv(F)
@@ -171,3 +173,33 @@ def test_errors_by_noise_alone_are_those_of_coloured_noise_with_what_estimates_h
     assert found.which == (2,)
     known = (1 + colour) / (1 - colour) / (3 * n)
     np.testing.assert_allclose(found.noise, np.sqrt(known), rtol=0.3)  # of some twenty lines
+
+
+@pytest.mark.parametrize(("colour", "seen"), [(0.7, 1.0), (0.0, 0.5)])
+def test_errors_by_noise_alone_are_those_of_what_is_seen_at_all_frequencies(colour, seen):
+    # Slopes that are white meet of a process no more than its variance, wherever its power is.
+    rng, n = np.random.default_rng(8), 4000
+    there = [rng.random(n) < seen for _ in range(3)]
+    slopes = [(rng.standard_normal(n) * on)[:, None, None] for on in there]
+    noise = [lfilter([1], [1, -colour], rng.standard_normal(n)) * on for on in there]
+    noise = [e / np.sqrt(np.mean(e[on] ** 2)) for e, on in zip(noise, there, strict=True)]
+    noise[2] = noise[2] + slopes[2][:, 0, 0]
+    F = sum(np.sum(s**2) for s in slopes) * np.eye(1)
+    step = sum(s[:, 0, 0] @ e for s, e in zip(slopes, noise, strict=True)) / F[0, 0]
+    left = [(e - step * s[:, 0, 0])[:, None] for s, e in zip(slopes, noise, strict=True)]
+    _, found = contradiction(*asked(left, slopes, np.linalg.inv(F), F))
+    assert found.which == (2,)
+    np.testing.assert_allclose(found.noise, 1 / np.sqrt(F[0]), rtol=0.1)
+
+
+@pytest.mark.parametrize(("off", "which"), [((0.5, -0.5, 0.0), None), ((0.0, 3.0, 0.0), (1,))])
+def test_where_residuals_follow_the_inputs_one_record_is_told_and_not_that_all_differ(
+    off, which, monkeypatch
+):
+    made = drawn(np.random.default_rng(10), 3, 0.0, 1.0, apart=off)
+    found = contradiction(*made)[1]
+    assert (found.any is None) == (which is None)
+    missed = [SimpleNamespace(chance=0.0)]
+    monkeypatch.setattr("casid.shooting.temporal_homogeneity.followed", lambda *_: missed)
+    found = contradiction(*made)
+    assert (found and found[1].which) == which

@@ -272,6 +272,22 @@ def test_records_of_different_sampling_have_errors_that_hold_and_no_doubt(runs):
     assert np.sqrt(np.mean(np.square(z))) < (1.2 if runs > 20 else 2.5)
 
 
+@pytest.mark.second
+@pytest.mark.filterwarnings("ignore:.*rests on few lines")
+def test_kinds_weighed_by_spectra_of_their_own_widen_errors_and_those_of_a_given_covariance_do_not(
+    monkeypatch,
+):
+    def variances(times, **given):
+        weighed = "casid.shooting.transformed_fit.weighed_apart"
+        monkeypatch.setattr(weighed, lambda *_: np.full(2, times))
+        way = OutputError(domain="frequency", **given)
+        return way.fit(Banking(), sampled(0)).covariance
+
+    np.testing.assert_allclose(variances(4.0), 4 * variances(1.0))
+    given = {"R": np.diag([0.03, 0.01]) ** 2}
+    np.testing.assert_allclose(variances(4.0, **given), variances(1.0, **given))
+
+
 @pytest.mark.campaign
 def test_errors_from_one_record_in_gusts_are_not_far_too_small():
     z = []
