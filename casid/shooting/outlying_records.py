@@ -17,6 +17,8 @@ is χ² of as many degrees of freedom as records decide parameters, less those t
 """
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -60,7 +62,8 @@ class Heterogeneity(NamedTuple):
         return float(chdtrc(self.freedom, self.square)) if self.freedom else 1.0
 
 
-class Records(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Records:
     """Sources of one estimate, at it, in coordinates in which the information of all is I.
 
     With what is known beside them the gradients are nothing in all.
@@ -68,6 +71,11 @@ class Records(NamedTuple):
 
     sources: Sequence[Source]
     root: Array  # (nf, k): the parameters by the coordinates
+
+    @cached_property
+    def each(self) -> dict[int, Disagreement]:
+        """How far each is from all others."""
+        return {i: self.against([i], self._all()) for i in self._all()}
 
     def against(self, which: Collection[int], kept: Sequence[int]) -> Disagreement:
         """How far some of those kept are from the others of them, at the estimate of the kept."""
@@ -83,11 +91,12 @@ class Records(NamedTuple):
         scatter = self.root @ self._sum(2, self._all()) @ self.root.T
         return Discord(which, any_, off, np.sqrt(np.maximum(np.diag(scatter), 0.0)))
 
-    def heterogeneity(self, of: Collection[int] | None = None) -> Heterogeneity:
-        """Of all records, or some, by Cochran's Q; errors of each no smaller than stated."""
+    @cached_property
+    def heterogeneity(self) -> Heterogeneity:
+        """Of all records, by Cochran's Q; errors of each no smaller than stated."""
         k = self.root.shape[1]
         q, freedom, b, H = 0.0, 0, np.zeros(k), np.zeros((k, k))
-        for g, F, S in (self.sources[i] for i in (self._all() if of is None else of)):
+        for g, F, S in self.sources:
             values, axes = np.linalg.eigh(F)
             axes, own = axes[:, values > SAID], np.diag(values[values > SAID])
             weight = np.linalg.inv(larger(own, axes.T @ S @ axes))
@@ -104,15 +113,6 @@ class Records(NamedTuple):
         if at is None:
             return None
         return self.against(at.larger, [*at.smaller, *at.larger])
-
-    def agree(self) -> bool:
-        """Whether nothing is beyond chance."""
-        return self.worst() is None
-
-    def worst(self, seldom: float = SELDOM) -> int | None:
-        """Which disagrees most with all others, if any does by more than chance."""
-        found = {i: self.against([i], self._all()) for i in self._all()}
-        return _worst(found, len(found), seldom)
 
     def _all(self) -> list[int]:
         return list(range(len(self.sources)))
@@ -131,7 +131,7 @@ def discord(records: Records, *, white: bool, seldom: float = SELDOM) -> Discord
     of its own then is noise, and the structure misses nothing that might set them apart.
     """
     every = list(range(len(records.sources)))
-    first = {i: records.against([i], every) for i in every}
+    first = records.each
     worst = _worst(first, len(every), seldom)
     if worst is None:
         return None
@@ -155,8 +155,7 @@ def discord(records: Records, *, white: bool, seldom: float = SELDOM) -> Discord
 
 def scattered(records: Records, seldom: float = SELDOM) -> Discord | None:
     """What is told of records that disagree where none, or no few, of them are to blame."""
-    every, whole = range(len(records.sources)), records.heterogeneity()
-    found = {i: records.against([i], every) for i in every}
+    found, whole = records.each, records.heterogeneity
     worst = max(found, key=lambda i: _excess(found[i]))
     one = len(found) * found[worst].chance
     if min(one, whole.chance) >= seldom:
@@ -176,7 +175,7 @@ def parted(records: Records, at: Sides | None, few: Discord | None) -> Discord |
     off = records.parted(at)
     if at is None or off is None or off.chance >= RARELY:
         return None
-    whole = records.heterogeneity()
+    whole = records.heterogeneity
     least = max(SIDED * (whole.square - whole.freedom), _excess(few.off) if few else 0.0)
     return records.told(at.larger, None, off)._replace(sides=at) if _excess(off) > least else None
 

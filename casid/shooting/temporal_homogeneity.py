@@ -123,22 +123,19 @@ def contradiction(
     taken = leverages(made, F)
     spectra = noise_spectra(lines, made, taken)
     found = found._replace(left=left)
-    told = found.discord(lines, spectra)
-    if told is None:
-        return None
     chances = [each.chance for each in followed(lines, made, taken, spectra)]
-    if min(chances) < FOLLOWS / len(chances):
+    if misses := min(chances) < FOLLOWS / len(chances):
         found = _loosened(found)
-        told = found.discord(lines, spectra) if found.scatter else None
-        if told is None or told.any is None:
-            return None
+    told = found.discord(lines, spectra) if found.scatter else None
+    if told is None or (misses and told.any is None):
+        return None
     return found, told
 
 
 def _loosened(found: Opposed) -> Opposed:
     """The same, with scores that scatter by more."""
     sources = [each._replace(S=MORE * each.S) for each in found.records.sources]
-    return found._replace(records=found.records._replace(sources=sources))
+    return found._replace(records=replace(found.records, sources=sources))
 
 
 def _transformed(

@@ -1,5 +1,7 @@
 """Records of linear measurements that contradict each other, by least squares of their parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,7 +48,6 @@ def test_the_record_without_which_the_others_agree_is_named_and_how_far_it_moves
 def test_records_of_one_truth_agree():
     for seed in range(20):
         made = records(*flown(*[(1, 2)] * 4, seed=seed))
-        assert made.agree()
         assert discord(made, white=True) is None
 
 
@@ -99,11 +100,11 @@ def squares(J, y):
 
 def test_heterogeneity_is_what_one_estimate_leaves_beyond_one_of_each():
     J, y = flown((1, 2), (1, 3), (2, 2), (1, 2))
-    found = records(J, y).heterogeneity()
+    found = records(J, y).heterogeneity
     alone = sum(squares([j], [v]) for j, v in zip(J, y, strict=True))
     assert found.square == pytest.approx(squares(J, y) - alone)
     assert found.freedom == 6
-    none = records(*flown((1, 2))).heterogeneity()
+    none = records(*flown((1, 2))).heterogeneity
     assert none.square == pytest.approx(0, abs=1e-9)
     assert (none.freedom, none.chance) == (0, 1.0)
 
@@ -112,7 +113,7 @@ def test_of_what_a_record_does_not_tell_nothing_is_asked():
     J, y = flown((1, 2), (1, 2), (1, 2))
     J[0] = J[0] * [1, 0]
     y[0] = y[0] - y[0].mean()
-    found = records(J, y).heterogeneity()
+    found = records(J, y).heterogeneity
     alone = sum(squares([j], [v]) for j, v in zip(J, y, strict=True))
     assert found.square == pytest.approx(squares(J, y) - alone)
     assert found.freedom == 3
@@ -120,7 +121,7 @@ def test_of_what_a_record_does_not_tell_nothing_is_asked():
 
 @pytest.mark.campaign
 def test_heterogeneity_is_of_the_chance_it_says():
-    chances = [records(*flown(*[(1, 2)] * 4, seed=s)).heterogeneity().chance for s in range(2000)]
+    chances = [records(*flown(*[(1, 2)] * 4, seed=s)).heterogeneity.chance for s in range(2000)]
     for level in (0.5, 0.1, 0.01):
         share = np.mean(np.array(chances) < level)
         assert abs(share - level) < 3 * np.sqrt(level * (1 - level) / 2000)
@@ -162,10 +163,10 @@ def test_errors_widen_for_what_only_sides_show():
 
 def test_scores_that_scatter_more_than_their_information_says_count_for_less():
     made = records(*flown((1, 2), (1, 3), (2, 2), (1, 2)))
-    loud = made._replace(sources=[each._replace(S=4 * each.F) for each in made.sources])
-    assert loud.heterogeneity().square == pytest.approx(made.heterogeneity().square / 4)
-    quiet = made._replace(sources=[each._replace(S=each.F / 4) for each in made.sources])
-    assert quiet.heterogeneity().square == pytest.approx(made.heterogeneity().square)
+    loud = replace(made, sources=[each._replace(S=4 * each.F) for each in made.sources])
+    assert loud.heterogeneity.square == pytest.approx(made.heterogeneity.square / 4)
+    quiet = replace(made, sources=[each._replace(S=each.F / 4) for each in made.sources])
+    assert quiet.heterogeneity.square == pytest.approx(made.heterogeneity.square)
 
 
 def test_one_record_at_fault_is_told_rather_than_its_side():
@@ -179,7 +180,7 @@ def test_one_record_at_fault_is_told_rather_than_its_side():
 def test_records_that_scatter_a_little_each_are_told_together():
     J, y = flown(*[(1 + 0.22 * (-1) ** k, 2 + 0.22 * (-1) ** (k // 2)) for k in range(12)], seed=2)
     made = records(J, y)
-    assert made.worst(RARELY) is None
+    assert min(each.chance for each in made.each.values()) > RARELY / 12
     found = scattered(made, RARELY)
-    assert found.whole == made.heterogeneity()
+    assert found.whole == made.heterogeneity
     assert found.whole.chance < RARELY
