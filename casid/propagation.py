@@ -86,8 +86,7 @@ def known_errors(fit: AnyFit, error: Undermodelling | None) -> tuple[tuple[str, 
     if isinstance(fit.model, NonlinearModel):
         warn_unbalanced(fit.model, "these are bands of its linearisation there")
     if error is not None:
-        held = np.array([fit[name].active for name in names], dtype=bool)
-        C = C + np.where(held[:, None] | held, 0.0, error.of(fit).covariance)
+        C = C + error.of(fit).covariance
     return names, C
 
 

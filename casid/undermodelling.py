@@ -185,10 +185,9 @@ def _own(fit: AnyFit, free: Free, dG: ComplexArray) -> Array:
     """Variance (K, ny, nu) of a fit's response by noise: bands hold it already."""
     if fit.covariance is None:
         return np.zeros(dG.shape[1:])
-    held = np.array([fit[name].active for name in free.names], dtype=bool)
     at = [fit.free_names.index(name) for name in free.names]
     C = fit.covariance[np.ix_(at, at)]
-    C = np.where(held[:, None] | held | ~np.isfinite(C), 0.0, C)
+    C = np.where(np.isfinite(C), C, 0.0)
     return np.asarray(np.einsum("pkij,pq,qkij->kij", dG, C, dG.conj(), optimize=True).real)
 
 
@@ -236,7 +235,9 @@ def structure_error(
     sure = _evidence(left, target)
     std = np.sqrt(missed_square(square, deviation, sure))
     W = 1 / np.sqrt(target.variance + target.smoothed(E))
-    K = gain(target.scale * dG, W)
+    inside = np.array([not fit[name].active for name in free.names], dtype=bool)
+    K = np.zeros_like(dG)  # what is on a bound stays there, and others do not follow it
+    K[inside] = gain(target.scale * dG[inside], W)
     root = (
         std[:, None]
         * np.linalg.cholesky(nearness(omega) + 1e-6 * np.eye(POINTS))[:, :, None, None]

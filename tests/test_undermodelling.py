@@ -25,7 +25,9 @@ from casid import (
     structure_error,
 )
 from casid.errors import DataWarning
-from casid.undermodelling import _evidence, missed_quantile, missed_square
+from casid.evaluation import MatrixFunction
+from casid.response_fit import movable
+from casid.undermodelling import _evidence, _own, missed_quantile, missed_square
 
 OMEGA = np.geomspace(1.1, 8.0, 24)
 
@@ -84,6 +86,24 @@ def test_what_noise_does_to_the_fit_is_no_error_of_its_structure():
     assert np.sum(structure_error(fit, box()).std ** 2) < 0.7 * np.sum(alone.std**2)
     unknown = replace(fit, covariance=np.full_like(fit.covariance, np.inf))
     np.testing.assert_array_equal(structure_error(unknown, box()).std, alone.std)
+
+
+@pytest.mark.second
+def test_beside_a_bound_noise_is_that_of_the_band_and_what_is_missed_moves_what_is_free():
+    records = [record.decimate(2) for record in campaign(1, 4)]
+    fit = output_error(TRUTH, records, bounds={"Lp": (TRUTH.Lp - 1, TRUTH.Lp)})
+    assert fit["Lp"].active
+    free = movable(fit)
+    G, dG = MatrixFunction(free)(free.guess).response_slopes(1j * OMEGA)
+    band = response_band(fit, OMEGA)
+    size = np.abs(G) * np.hypot(band.magnitude_std, band.phase_std)
+    np.testing.assert_allclose(_own(fit, free, dG), size**2, rtol=1e-3, atol=1e-12)
+    held = output_error(replace(TRUTH, Lp=fit["Lp"].value), records, fixed=["Lp"])
+    moved, alone = (structure_error(replace(each, covariance=None), box()) for each in (fit, held))
+    np.testing.assert_allclose(moved.std, alone.std, rtol=1e-3)
+    assert not moved.covariance[fit.free_names.index("Lp")].any()
+    others = moved.of(held).covariance
+    np.testing.assert_allclose(np.diag(others), np.diag(alone.covariance), rtol=1e-2)
 
 
 @pytest.mark.parametrize("sure", [0.0, 0.3, 1.0])
