@@ -186,13 +186,15 @@ def aicc(fit: AnyFit, records: Sequence[Record]) -> float:
 
     n counts the measurements; k the directions in which parameters are free, each by the variance
     its estimate has over that by the information (K. Takeuchi, Suri-Kagaku 153, 1976), and all that
-    was estimated beside them (N. Sugiura, Commun. Stat. A7, 1978), what two of these say once.
+    was estimated beside them (N. Sugiura, Commun. Stat. A7, 1978), what two of these say once. That
+    records contradict each other, which is told of some fits and not of others, does not count.
     """
     if not isinstance(fit.notes, OutputErrorNotes):
         return np.nan
     outputs = type(fit.model).outputs
     n = sum(int(np.isfinite(record.channel(name)).sum()) for record in records for name in outputs)
-    w = weights(fit, np.eye(len(fit.free_names)))
+    alike = None if fit.covariance is None else fit.notes.alike(fit.covariance)
+    w = weights(replace(fit, covariance=alike), np.eye(len(fit.free_names)))
     k = (w.sum() if len(w) else len(fit.free_names) - fit.held) + fit.notes.nuisances
     k -= _told_twice(fit) * len(records)
     return 2 * fit.cost + 2 * k * n / (n - k - 1) if n > k + 1 else np.inf

@@ -40,10 +40,11 @@ from casid.shooting.measured_responses import MeasuredResponses, check_responses
 from casid.shooting.nonlinear import Integration
 from casid.shooting.outlying_records import Discord
 from casid.shooting.pade_error import warn_rounded
-from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away, verdict
+from casid.shooting.precision import OutputErrorNotes, Precision, known_apart, precision
 from casid.shooting.priors import warn_contradicted, with_knowledge
 from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.selection import checked_covariance, select_records
+from casid.shooting.solutions import run_away, verdict
 from casid.shooting.stiffness import MOST
 from casid.shooting.strategies import Ways, exact_outputs, warn_of_missed
 from casid.shooting.transformed_fit import estimate
@@ -164,7 +165,8 @@ class OutputError:
             best = _unmoved(free, str(error))
             raise ConvergenceError(f"output error: {error}", best) from error
         outcome, steps = Search(free, options, self.steps).integrated(outcome)
-        fit, discord = _result(model, free, outcome, time.perf_counter() - begin, steps)
+        seconds = time.perf_counter() - begin
+        fit, discord = _result(model, free, outcome, seconds, known_apart(near), steps)
         if not rough:
             warn_of_missed(outcome, self.interval)
             end = outcome.programme, outcome.solution.x
@@ -328,6 +330,7 @@ def _result(
     free: Free,
     outcome: Outcome,
     seconds: float,
+    apart: bool | None,
     steps: Integration | None = None,
 ) -> tuple[Fit[M, OutputErrorNotes], Discord | None]:
     """The fit, and what is to be told of its records."""
@@ -338,7 +341,7 @@ def _result(
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
     ties = programme.ties
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :] / ties
-    lam, found = precision(programme, solution.x, multipliers, prices)
+    lam, found = precision(programme, solution.x, multipliers, prices, apart)
     model = start.with_vector(free.full(lam))
     std, white = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     success, status = _verdict(outcome, found, violated(programme.free, lam))

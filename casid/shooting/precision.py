@@ -1,6 +1,6 @@
 """What an output-error solution says about its own precision."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,9 +8,9 @@ import scipy
 import scipy.linalg
 
 from casid.arrays import Array, BoolArray
+from casid.errors import asked
 from casid.estimates import ACTIVE, at_bounds, holding, on_bounds, within
-from casid.nlp import Solution
-from casid.nonlinear.model import NonlinearModel
+from casid.fit import AnyFit
 from casid.record import Hold
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
@@ -20,14 +20,9 @@ from casid.shooting.scores import NO_SCORES, OwnScores, RecordScores
 from casid.shooting.slopes import beginnings, slopes
 from casid.shooting.spectral_homogeneity import Opposed
 from casid.shooting.spectrum import NoiseSpectrum
-from casid.shooting.starting import channel_size
 from casid.shooting.temporal_homogeneity import contradiction, suspected
 from casid.shooting.whiteness import whitened
 from casid.values import seal, storable
-
-AWAY = 100.0  # times an output's size: no bias of an instrument
-DIGITS = 0.01  # of the noise, that rounding of what ran away may be
-STILL, RAMP = 1e-10, 0.1  # e-folds over a record: of an integral, and of what makes a ramp
 
 
 @storable
@@ -71,6 +66,9 @@ class OutputErrorNotes:
         Of every record, all else following the parameters: the slope of its log-likelihood at the
         estimate, which in all is zero, and its information. None of white residuals of records
         that differ by no more than noise, in the frequency domain of any such.
+    between_records : (nf, nf) array
+        What of ``Fit.covariance`` is that estimates scatter from record to record by more than
+        noise makes them; none where records do not contradict each other.
     """
 
     rounds: int
@@ -89,6 +87,7 @@ class OutputErrorNotes:
     beside_bounds: Array = field(default_factory=lambda: np.zeros((0, 0)))
     record_scores: Array = field(default_factory=lambda: np.zeros((0, 0)))
     record_information: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    between_records: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         seal(self)
@@ -96,6 +95,10 @@ class OutputErrorNotes:
     def on_bounds(self, covariance: Array) -> Array:
         """A fit's covariance (nf, nf) with what is on bounds known to be there: a hypothesis."""
         return covariance - self.beside_bounds if self.beside_bounds.size else covariance
+
+    def alike(self, covariance: Array) -> Array:
+        """A fit's covariance (nf, nf) as though records did not contradict each other."""
+        return covariance - self.between_records if self.between_records.size else covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +113,7 @@ class Precision:
     records: RecordScores = NO_SCORES  # of whole records, by the free parameters
     beside_bounds: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (n, n) in covariance
     discord: Discord | None = None  # of the records, in scaled unknowns
+    between_records: Array = field(default_factory=lambda: np.zeros((0, 0)))  # in covariance, too
 
     def notes(
         self, rounds: int, nodes: int, nuisances: int, K: Array | None, Q: Array | None = None
@@ -127,19 +131,31 @@ class Precision:
             beside_bounds=self.beside_bounds,
             record_scores=self.records[0],
             record_information=self.records[1],
+            between_records=self.between_records,
         )
 
 
+def known_apart(near: AnyFit | None) -> bool | None:
+    """Whether records contradict each other, as a fit nearby has it; None: ask them."""
+    notes = None if asked() or near is None else near.notes
+    return bool(notes.between_records.size) if isinstance(notes, OutputErrorNotes) else None
+
+
 def precision(
-    programme: Programme, x: Array, multipliers: Array, prices: Array
+    programme: Programme,
+    x: Array,
+    multipliers: Array,
+    prices: Array,
+    apart: bool | None = None,
 ) -> tuple[Array, Precision]:
     """Free values (n,) at a solver's scaled variables x, on the bounds that hold; their precision.
 
-    ``multipliers`` (n,) of the parameters and ``prices`` of the constraints are as in the tables.
+    ``multipliers`` (n,) of the parameters and ``prices`` of the constraints are as in the tables;
+    ``apart`` is as `known_apart` has it.
     """
     n, lam = len(programme.free.index), _meant(programme, x, multipliers)
     x = np.append(lam / programme.scales.lam[:n], x[n:])
-    return lam, _precision(programme, x, (multipliers, prices))
+    return lam, _precision(programme, x, (multipliers, prices), apart)
 
 
 def _meant(programme: Programme, x: Array, multipliers: Array) -> Array:
@@ -155,7 +171,9 @@ def _meant(programme: Programme, x: Array, multipliers: Array) -> Array:
     return on_bounds(programme.free, programme.unpack(x).lam[:n], multipliers, felt)
 
 
-def _precision(programme: Programme, x: Array, slopes: tuple[Array, Array]) -> Precision:
+def _precision(
+    programme: Programme, x: Array, slopes: tuple[Array, Array], apart: bool | None
+) -> Precision:
     names = unknown_names(programme)
     try:
         F, follow = information(programme, x)
@@ -172,9 +190,12 @@ def _precision(programme: Programme, x: Array, slopes: tuple[Array, Array]) -> P
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     tied = int(ties[:, :n].any(axis=1).sum())
     coloured, records, own = _coloured(programme, x, known, follow, tied)
-    found = _against_each_other(programme, x, known, own)
+    found = _against_each_other(programme, x, known, own, apart)
+    between = np.zeros((0, 0))
     if found is not None and not programme.free.priors:
+        alike = coloured
         coloured, records, found = _widened(programme, coloured, found)
+        between = coloured - alike
     beside = _beside_bounds(programme, x, slopes, (F, alone), (known, coloured))
     robust = np.where(np.isfinite(scaled), coloured + beside, scaled)
     unit = np.outer(programme.scales.lam, programme.scales.lam)
@@ -190,35 +211,38 @@ def _precision(programme: Programme, x: Array, slopes: tuple[Array, Array]) -> P
         undetermined=lost,
         records=records,
         discord=None if found is None else found[1],
+        between_records=(between * unit[: len(between), : len(between)])[:n, :n],
     )
 
 
 def _against_each_other(
-    programme: Programme, x: Array, P: Array, own: OwnScores
-) -> tuple[Opposed, Discord] | None:
+    programme: Programme, x: Array, P: Array, own: OwnScores, apart: bool | None
+) -> tuple[Opposed, Discord | None] | None:
     """Records that contradict each other, at scaled variables x; P (nf, nf) is `determined`.
 
-    Filters say nothing: their gains follow the records, too. Nor is a record to blame where
-    responses pull at all of them, or, of two, what is known before: `casid.shooting.hausman` asks
-    those.
+    As is known if ``apart`` is not None. Filters say nothing: their gains follow the records, too.
+    Nor is a record to blame where responses pull at all of them, or, of two, what is known before:
+    `casid.shooting.hausman` asks those.
     """
     free, flown = programme.free, programme.evaluator.layout.records
     fewest = 3 if free.priors else 2
     if len(flown) < fewest or programme.evaluator.filtering or free.evidence is not None:
         return None
-    if not P.any() or not suspected(flown, own.found, uncertainty.coordinates(P)[0]):
+    if apart is False or not P.any():
+        return None
+    if not apart and not suspected(flown, own.found, uncertainty.coordinates(P)[0]):
         return None
     upper = programme.hessian_matrix(x)
     quadratic, follow = quadratic_model(programme, x, upper + scipy.sparse.triu(upper, 1).T)
     follow = follow[: programme.size - programme.evaluator.nf, :-1]
     along = slopes(programme, x, follow)(np.eye(len(P))), beginnings(programme, x)
     F, g = quadratic[:-1, :-1], quadratic[:-1, -1]
-    return contradiction(flown, whitened(programme, x), along, P, F, g)
+    return contradiction(flown, whitened(programme, x), along, P, F, g, known=bool(apart))
 
 
 def _widened(
-    programme: Programme, covariance: Array, found: tuple[Opposed, Discord]
-) -> tuple[Array, RecordScores, tuple[Opposed, Discord]]:
+    programme: Programme, covariance: Array, found: tuple[Opposed, Discord | None]
+) -> tuple[Array, RecordScores, tuple[Opposed, Discord | None]]:
     """A covariance (nf, nf) of the scaled unknowns no less than records scatter; their scores."""
     own, told = found
     wide = own.widened(covariance)
@@ -226,7 +250,7 @@ def _widened(
     wider = np.sqrt(np.divide(after, before, out=np.ones_like(after), where=before > 0))
     unit = programme.scales.lam
     scores = own.scores[0] / unit, own.scores[1] / np.outer(unit, unit)
-    return wide, scores, (own, told._replace(wider=wider))
+    return wide, scores, (own, told and told._replace(wider=wider))
 
 
 def _beside_bounds(
@@ -249,57 +273,6 @@ def _beside_bounds(
     holding_still = scipy.linalg.block_diag(ties * scale, _filter_held(programme, x))
     scaled = bounded._replace(rows=rows)
     return uncertainty.beside_bounds(F, holding_still, alone, scaled, covariances)
-
-
-def verdict(
-    solution: Solution,
-    settled: bool,
-    unsettled: str,
-    more: Sequence[str],
-    broken: str | None = None,
-) -> tuple[bool, str]:
-    """Whether this is a solution, and in words; ``more`` speaks against it.
-
-    ``broken`` is what a solver that fails may have failed at: constraints that cannot hold.
-    """
-    failed = f"{solution.status}: {broken}" if broken else solution.status
-    reasons = [unsettled] * (not settled) if solution.success else [failed]
-    reasons += more
-    return not reasons, "; ".join(reasons) or solution.status
-
-
-def run_away(programme: Programme, x: Array, lost: int = 0) -> str:
-    """What is said of biases that have left what was measured, at scaled variables x; or nothing.
-
-    A mode at no speed with an endless initial state is a ramp, and its offset a bias: where that is
-    likeliest of records that drift there is no end, and nothing that leads there is determined.
-    Where the mode is an integral whatever the parameters are, its initial state and a bias are one,
-    which is no matter if nothing is ``lost`` of what is to be determined, nor of the digits.
-    """
-    point = programme.unpack(x)
-    size = np.abs(point.bias).max(axis=0)
-    away = size > AWAY * channel_size(programme.evaluator)
-    drowned = np.spacing(size) > DIGITS * np.sqrt(np.diag(programme.values(x).R))
-    if not (lost or (away & drowned).any() or _slow(programme, point.lam)):
-        return ""
-    names = ", ".join(np.array(programme.free.model.outputs)[away])
-    return names and (
-        f"initial states and the biases of {names} diverge together, beyond {AWAY:.0f} times "
-        "what was measured: a mode with an eigenvalue near zero turns the drift of the records "
-        "into a ramp. Drop those biases (biases=), or state the initial states "
-        "(OutputError(initial=...).fit)"
-    )
-
-
-def _slow(programme: Programme, lam: Array) -> bool:
-    """Whether a mode hardly moves over the records, and is no integral by structure."""
-    free = programme.free
-    if isinstance(free.model, NonlinearModel):
-        return False
-    own = free.model.with_vector(free.full(lam[: len(free.index)]))
-    longest = max(record.duration for record in programme.evaluator.layout.records)
-    speed = np.abs(np.linalg.eigvals(own.system().A)) * longest
-    return bool(((speed > STILL) & (speed < RAMP)).any())
 
 
 def _no_precision(programme: Programme, names: tuple[str, ...]) -> Precision:

@@ -99,7 +99,9 @@ def contradiction(
     P: Array,
     F: Array,
     slope: Array,
-) -> tuple[Opposed, Discord] | None:
+    *,
+    known: bool = False,
+) -> tuple[Opposed, Discord | None] | None:
     """Records that contradict each other, and what is told of them.
 
     ``residuals`` (N, ny) are whitened, 0 where missing, the model less what was measured; ``along``
@@ -108,7 +110,8 @@ def contradiction(
     information and ``slope`` (nf,) that of the whole cost.
 
     Where residuals of all follow the inputs, what the structure misses may set records apart: of
-    each more is allowed there, and nothing is told of all together.
+    each more is allowed there, and nothing is told of all together. Where it is ``known`` that
+    they do, they come whether anything is told or not.
     """
     parts = zip(flown, kinds(flown), residuals, *along, strict=True)
     lines, made, rest = zip(*(_transformed(*each) for each in parts), strict=True)
@@ -116,7 +119,7 @@ def contradiction(
     white = len(residual_covariance(rest)) == 1
     found = opposed(lines, made, ones, P, slope, np.array(there), white=white, fewest=FEWEST)
     if not found.scatter:
-        return None
+        return (found, None) if known else None
     lines = tuple(_beyond_mean(each) for each in lines)
     made = tuple(each.beyond_mean() for each in made)
     left = [each.beyond_mean() for each in found.left if isinstance(each, Transformed)]
@@ -128,7 +131,7 @@ def contradiction(
         found = _loosened(found)
     told = found.discord(lines, spectra) if found.scatter else None
     if told is None or (misses and told.any is None):
-        return None
+        return (found, None) if known else None
     return found, told
 
 

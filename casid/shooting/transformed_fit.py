@@ -38,7 +38,8 @@ from casid.shooting.homogeneity import tell
 from casid.shooting.independence import warn_of_missed
 from casid.shooting.line_residuals import Residual
 from casid.shooting.lines import Lines, transformed
-from casid.shooting.precision import OutputErrorNotes, Precision, verdict
+from casid.shooting.precision import OutputErrorNotes, Precision, known_apart
+from casid.shooting.solutions import verdict
 from casid.shooting.spectral_delays import done, heard, searched
 from casid.shooting.spectral_homogeneity import Opposed, opposed
 from casid.shooting.spectrum import (
@@ -77,7 +78,7 @@ def estimate(
     outcome = searched(free, lines, close(options) if beside else options, held)
     if beside and not done(outcome):  # not so close after all
         outcome = searched(free, lines, options, held)
-    fit = _fit(model, outcome, begin, estimated=R is None)
+    fit = _fit(model, outcome, begin, known_apart(near), estimated=R is None)
     if not fit.success:
         raise ConvergenceError(f"{METHOD}: {fit.status}", fit)
     return fit
@@ -97,7 +98,7 @@ def _spectra_of(near: AnyFit | None, lines: list[Lines]) -> tuple[NoiseSpectrum,
 
 
 def _fit(
-    start: M, outcome: SpectralOutcome, begin: float, *, estimated: bool
+    start: M, outcome: SpectralOutcome, begin: float, apart: bool | None, *, estimated: bool
 ) -> Fit[M, OutputErrorNotes]:
     programme, solution = outcome.programme, outcome.solution
     free, lines = programme.residuals.free, programme.residuals.lines
@@ -111,7 +112,7 @@ def _fit(
     model, ties = start.with_vector(free.full(lam)), programme.ties
     prices = -programme.n * solution.multipliers_g[: len(ties)] / ties
     slopes = multipliers, prices
-    found, own = _precision(programme, solution.x, lam, slopes, estimated=estimated)
+    found, own = _precision(programme, solution.x, lam, slopes, apart, estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
     unsettled = (
@@ -168,6 +169,7 @@ def _precision(
     x: Array,
     lam: Array,
     slopes: tuple[Array, Array],
+    apart: bool | None,
     *,
     estimated: bool,
 ) -> tuple[Precision, Opposed | None]:
@@ -205,7 +207,7 @@ def _precision(
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
     found = _allowing(found, P, programme, state, lam, noise)
-    found, own = _between_records(found, P, programme, state)
+    found, own = _between_records(found, P, programme, state, apart)
     bounded, rigid = within(free, lam, active, *slopes)
     if not len(bounded.slope):
         return found, own
@@ -216,18 +218,20 @@ def _precision(
 
 
 def _between_records(
-    found: Precision, P: Array, programme: SpectralProgramme, state: State
+    found: Precision, P: Array, programme: SpectralProgramme, state: State, apart: bool | None
 ) -> tuple[Precision, Opposed | None]:
     """The precision with errors no less than records scatter, and these against each other.
 
-    By the inverse information P (nf, nf). Records are not asked where what is known beside them
-    pulls at all.
+    By the inverse information P (nf, nf); ``apart`` is as `known_apart` has it. Records are not
+    asked where what is known beside them pulls at all.
     """
     free, lines = programme.residuals.free, programme.residuals.lines
     if len(lines) < (3 if free.priors else 2) or free.evidence is not None or not P.any():
         return found, None
+    if apart is False:
+        return found, None
     own = opposed(lines, state.residuals, programme.powers, P, state.g)
-    if not own.scatter:
+    if not (apart or own.scatter):
         return found, None
     if free.priors:
         return found, own
@@ -235,7 +239,9 @@ def _between_records(
     before, after = (np.diag(each) for each in (found.covariance, covariance))
     told = np.isfinite(before) & (before > 0)
     wider = np.sqrt(np.divide(after, before, out=np.ones_like(before), where=told))
-    return replace(found, covariance=covariance, records=own.scores), own._replace(wider=wider)
+    between = np.where(np.isfinite(covariance), covariance - found.covariance, 0.0)
+    wide = replace(found, covariance=covariance, records=own.scores, between_records=between)
+    return wide, own._replace(wider=wider)
 
 
 class _Noise(NamedTuple):

@@ -17,10 +17,9 @@ from truths.closed_roll import (
 
 from casid import Constraint, ConvergenceError, Model, Record, Scalar, parameter
 from casid.free import free_parameters
-from casid.nlp import Solution
 from casid.shooting.intervals import lay_out
 from casid.shooting.output_error import output_error
-from casid.shooting.precision import precision, run_away, verdict
+from casid.shooting.precision import precision
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -178,29 +177,6 @@ def test_constant_forces_beside_output_biases_are_not_determined_and_no_success(
     assert np.isfinite([row.std_error for row in known.parameters]).all()
 
 
-def test_biases_that_run_away_with_initial_states_are_named():
-    free = free_parameters(TRUTH)
-    evaluator = Evaluator(free, lay_out([noisy(1), noisy(2)], 2.0))
-    programme, point = starting_programme(evaluator, free, "diagonal", True)
-    assert run_away(programme, programme.pack(point)) == ""
-    size = np.sqrt(np.mean(np.concatenate([noisy(1).y, noisy(2).y]) ** 2, axis=0))
-    for times, told in ((99.0, False), (101.0, True)):
-        away = replace(point, bias=np.array([[0.0, 0.0, 0.0], [0.0, -times * size[1], 0.0]]))
-        said = run_away(programme, programme.pack(away), lost=1)
-        assert ("biases of p diverge" in said) == told
-        assert ("(OutputError(initial=...).fit)" in said) == told  # `output_error` has no initial=
-
-
-def test_an_integral_may_run_away_as_far_as_its_digits_last():
-    free = free_parameters(TRUTH)
-    programme, point = starting_programme(
-        Evaluator(free, lay_out([noisy(1)], 2.0)), free, "diagonal", True
-    )
-    for times, told in ((1e4, False), (1e14, True)):
-        away = replace(point, bias=np.array([[0.0, -times, 0.0]]))
-        assert bool(run_away(programme, programme.pack(away))) == told
-
-
 class Slow(Model):
     """One stable mode."""
 
@@ -293,26 +269,6 @@ def test_errors_allow_for_what_the_fit_took_from_the_residuals():
     # Where the residuals gave R it is n/(n - p) too small; a given one is right.
     np.testing.assert_allclose(free.covariance / known.covariance, n / (n - p), rtol=1e-5)
     np.testing.assert_allclose(free.notes.cramer_rao, known.notes.cramer_rao, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("success", "settled", "more", "said"),
-    [
-        (True, True, [], "solved"),
-        (True, False, ["tie a"], "give R; tie a"),
-        (False, False, ["tie a"], "limit; tie a"),
-        (False, True, [], "limit"),
-    ],
-)
-def test_a_solution_is_one_if_it_has_settled_and_nothing_speaks_against_it(
-    success, settled, more, said
-):
-    none, status = np.zeros(0), "solved" if success else "limit"
-    found = Solution(
-        x=none, f=0.0, g=none, multipliers_x=none, multipliers_g=none, success=success,
-        status=status, iterations=1, seconds=0.0,
-    )  # fmt: skip
-    assert verdict(found, settled, "give R", more) == (said == "solved", said)
 
 
 @pytest.mark.repeats(1)

@@ -9,9 +9,11 @@ from scipy.signal import lfilter, lsim
 from truths.banked import told
 from truths.structures import Banking
 
-from casid import Record, output_error
+from casid import DataWarning, OutputError, Record, output_error
+from casid.bounds.trials import aicc
 from casid.errors import unasked
 from casid.shooting.hausman import Source
+from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.outlying_records import SELDOM, Records
 from casid.shooting.temporal_homogeneity import contradiction
 
@@ -204,3 +206,29 @@ def test_where_residuals_follow_the_inputs_one_record_is_told_and_not_that_all_d
     monkeypatch.setattr("casid.shooting.temporal_homogeneity.followed", lambda *_: missed)
     found = contradiction(*made)
     assert (found and found[1].which) == which
+
+
+@pytest.mark.second
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_beside_a_fit_records_contradict_each_other_if_they_did_there(domain):
+    estimator, model = OutputError(domain=domain), Banking()
+    odd, alike = (flown([10.0, 10.0, 10.0, last], 1) for last in (12.0, 10.0))
+    with pytest.warns(DataWarning, match=OPPOSED):
+        wide = estimator.fit(model, odd)
+    assert wide.notes.between_records.shape == (2, 2)
+    noise = wide.covariance - wide.notes.between_records
+    assert noise[1, 1] < wide.covariance[1, 1] / 2  # of Llat
+    sound = estimator.fit(model, alike)
+    assert sound.notes.between_records.size == 0
+    with unasked():
+        narrow = estimator.fit(model, odd, near=sound)
+        again = estimator.fit(model, odd, near=wide)
+        none = estimator.fit(model, alike, near=wide)
+    assert narrow.notes.between_records.size == 0
+    assert none.notes.between_records.shape == (2, 2)
+    size = np.sqrt(np.diag(wide.covariance))
+    np.testing.assert_allclose(again.covariance / np.outer(size, size),
+                               wide.covariance / np.outer(size, size), atol=0.01)  # fmt: skip
+    if domain == "time":  # by the same likelihood; in the other spectra of the fit beside are held
+        np.testing.assert_allclose(np.diag(narrow.covariance), np.diag(noise), rtol=0.01)
+        assert aicc(narrow, odd) == pytest.approx(aicc(wide, odd), abs=0.1)
