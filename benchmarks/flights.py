@@ -146,7 +146,7 @@ def least(records):
     H, _ = normal_equations(modal, parts(modal, alike(data, weights)), free)
     unit = partial(Spectrum, OMEGA, Y=np.zeros((len(OMEGA), len(OUTPUTS))), h=None, hold="foh")
     G, dG = response_derivative(modal, free, unit, len(OMEGA))
-    off = np.einsum("koip,pr->koir", dG, modes.covariance_factor(H) / np.sqrt(2))
+    off = np.einsum("koip,pr->koir", dG, modes.covariance_factor(H, modal) / np.sqrt(2))
     return np.linalg.norm(off.reshape(len(G), -1), axis=1) / np.linalg.norm(G, axis=(1, 2))
 
 
