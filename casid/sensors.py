@@ -2,9 +2,10 @@
 
     a_s = a + ω' × r + ω × (ω × r)        v_s = v + ω × r        y_s(t) = k y(t − τ)
 
-linearised about the trim rates: ω' is the structure's own, so the rows of A and B of p, q, r enter
-those of C and D. V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice,
-section 3.4; R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., section 10.2.
+of a linear structure linearised about the trim rates: ω' is the structure's own, so the rows of A
+and B of p, q, r enter those of C and D. V. Klein, E. A. Morelli, Aircraft System Identification:
+Theory and Practice, section 3.4; R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed.,
+section 10.2.
 
 The delay of an output is the Padé approximation [2/3] of e^(−τs), three states: |error| is below
 (τω)⁶/7200, a hundredth up to τω = 2.
@@ -98,6 +99,8 @@ def measured(structure: Any, built: Mapping[str, ca.SX], found: Any) -> dict[str
     outputs: tuple[str, ...] = structure.outputs
     _check(found, outputs)
     late: tuple[str, ...] = structure.late_outputs
+    if hasattr(structure, "derivatives"):  # a nonlinear one: `sensed` has them in its outputs
+        return dict(built)
     if not found and not late:
         return dict(built)
     states = own_states(structure.states, outputs)
@@ -123,6 +126,40 @@ def measured(structure: Any, built: Mapping[str, ca.SX], found: Any) -> dict[str
     return {"A": ca.sparsify(A), "B": ca.sparsify(B), "C": ca.sparsify(C), "D": ca.sparsify(D)}
 
 
+def sensed(structure: Any, x: Sequence[Any], f: ca.SX, h: ca.SX, found: Any) -> ca.SX:  # noqa: ANN401
+    """Outputs (ny,) of a nonlinear structure with the sensors ``found``, all of total values.
+
+    Of states x, of which f (nx,) are the derivatives, and the outputs h (ny,) at the centre of
+    gravity. ModelError: as `measured`, and a delay.
+    """
+    _check(found, structure.outputs)
+    if not found:
+        return h
+    states, outputs = dict(zip(structure.states, range(len(x)), strict=True)), ca.vertsplit(h)
+    omega, faster = (
+        ca.vertcat(*[part[states[rate]] if rate in states else 0.0 for rate in RATES])
+        for part in (ca.vertcat(*x), f)
+    )
+    for name, sensor in found.items():
+        i = structure.outputs.index(name)
+        if not _zero(sensor.delay):
+            raise ModelError(
+                f"the sensor of {name!r} has a delay, which those of nonlinear structures do not "
+                "have; shift the channel of the records instead (Record.shift)"
+            )
+        if any(not _zero(each) for each in (sensor.x, sensor.y, sensor.z)):
+            speed = _speed(name, sensor, structure.states)
+            r = ca.vertcat(sensor.x, sensor.y, sensor.z)
+            carried = ca.cross(omega, r)
+            if name.startswith("a") and name in AXES:
+                outputs[i] += (ca.cross(faster, r) + ca.cross(omega, carried))[AXES[name]]
+            else:
+                axis = AXES[name] if name in AXES else VANES[name][0]
+                outputs[i] += carried[axis] / speed
+        outputs[i] *= sensor.scale
+    return ca.vertcat(*outputs)
+
+
 def _check(found: Any, outputs: Sequence[str]) -> None:  # noqa: ANN401 - whatever the user wrote
     if not isinstance(found, Mapping):
         raise ModelError(f'it is {found!r}, expected sensors by output: {{"ax": Sensor(x=1.5)}}')
@@ -138,6 +175,28 @@ def _zero(value: Scalar) -> bool:
     return ca.SX(value).is_zero()
 
 
+def _speed(name: str, sensor: Sensor, states: Sequence[str]) -> Scalar:
+    """What its place counts over: of a vane the airspeed, else 1.
+
+    ModelError: a place that means nothing for its output, or no rate that moves it.
+    """
+    if not set(RATES) & set(states):
+        raise ModelError(
+            f"the place of the sensor of {name!r} needs the rates p, q or r among the states; "
+            f"they are {', '.join(states)}"
+        )
+    if name not in AXES and name not in VANES:
+        raise ModelError(
+            f"the sensor of {name!r} has a place, which means something for "
+            f"{', '.join((*AXES, *VANES))} only"
+        )
+    if name in AXES:
+        return 1.0
+    if sensor.airspeed is None:
+        raise ModelError(f"the vane of {name!r} has a place; give its airspeed too, that of trim")
+    return sensor.airspeed
+
+
 def _moved(
     structure: Any,  # noqa: ANN401 - a Model, which lives above
     name: str,
@@ -145,15 +204,11 @@ def _moved(
     states: tuple[str, ...],
 ) -> tuple[ca.SX, ca.SX]:
     """What its place adds to an output: rows (1, nx) by which x' and x enter."""
+    speed = _speed(name, sensor, states)
     S = ca.SX(3, len(states))  # rates p, q, r of the states
     for i, rate in enumerate(RATES):
         if rate in states:
             S[i, states.index(rate)] = 1
-    if not S.nnz():
-        raise ModelError(
-            f"the place of the sensor of {name!r} needs the rates p, q or r among the states; "
-            f"they are {', '.join(states)}"
-        )
     r = ca.vertcat(sensor.x, sensor.y, sensor.z)
     cross = -ca.skew(r)  # ω × r = cross ω
     nothing = ca.SX(1, len(states))
@@ -163,16 +218,8 @@ def _moved(
         turning = trim @ r.T + ca.dot(trim, r) * ca.SX.eye(3) - 2 * r @ trim.T
         i = AXES[name]
         return cross[i, :] @ S, turning[i, :] @ S
-    if name in AXES:
-        return nothing, cross[AXES[name], :] @ S
-    if name not in VANES:
-        raise ModelError(
-            f"the sensor of {name!r} has a place, which means something for "
-            f"{', '.join((*AXES, *VANES))} only"
-        )
-    if sensor.airspeed is None:
-        raise ModelError(f"the vane of {name!r} has a place; give its airspeed too, that of trim")
-    return nothing, cross[VANES[name][0], :] @ S / sensor.airspeed
+    i = AXES[name] if name in AXES else VANES[name][0]
+    return nothing, cross[i, :] @ S / speed
 
 
 def _delayed(

@@ -1,4 +1,4 @@
-"""Accelerometers that are not at the centre of gravity, for linear structures that have a rate.
+"""Accelerometers that are not at the centre of gravity, for structures that have a rate.
 
 A mixin, to stand before the structure:
 

@@ -3,8 +3,23 @@
 import numpy as np
 import pytest
 
-from casid import Model, ModelError, Rows, Scalar, Sensor, parameter
+from casid import (
+    Model,
+    ModelError,
+    NonlinearModel,
+    Record,
+    Rows,
+    Scalar,
+    Sensor,
+    output_error,
+    parameter,
+)
 from models.lateral_directional import LateralDirectional
+from models.longitudinal_aero import LongitudinalAero
+from models.minimum_complexity import MinimumComplexity
+from models.rigid_body import RigidBody
+from models.scheduled_hybrid import ScheduledHybrid
+from models.scheduled_six_dof import ScheduledSixDof
 from models.sensors import Accelerometers
 from models.six_dof import SixDof
 
@@ -136,3 +151,105 @@ def test_every_output_may_be_late():
     late = type("Late", (SixDof,), {"late_outputs": SixDof.outputs})
     assert late.states[: len(SixDof.states)] == SixDof.states
     assert len(late.states) > len(SixDof.states)
+
+
+NONLINEAR = [LongitudinalAero, MinimumComplexity, RigidBody, ScheduledHybrid, ScheduledSixDof]
+
+
+@pytest.mark.parametrize("structure", NONLINEAR)
+def test_nonlinear_structures_feel_a_place_as_rigid_bodies_do(structure):
+    boom, plain = type("Boom", (Accelerometers, structure), {}), structure()
+    model, place = boom(x_acc=1.5, y_acc=0.4, z_acc=-0.5), np.array([1.5, 0.4, -0.5])
+    rng = np.random.default_rng(2)
+    x0, u0 = plain.operating_point()
+    x = x0 + 0.05 * (1 + np.abs(x0)) * rng.uniform(0.2, 1, len(x0))
+    f, h = (part.full().ravel() for part in plain.equations()(x, u0, plain.vector()))
+    moved, found = (part.full().ravel() for part in model.equations()(x, u0, model.vector()))
+    np.testing.assert_array_equal(moved, f)
+    omega, faster = (
+        np.array([part[plain.states.index(n)] if n in plain.states else 0.0 for n in "pqr"])
+        for part in (x, f)
+    )
+    expected = np.cross(faster, place) + np.cross(omega, np.cross(omega, place))
+    for name, value, at_centre in zip(plain.outputs, found, h, strict=True):
+        force = ("ax", "ay", "az").index(name) if name in ("ax", "ay", "az") else None
+        off = 0.0 if force is None else expected[force]
+        assert value - at_centre == pytest.approx(off, abs=1e-9), name
+
+
+class Boomed(NonlinearModel):
+    """Pitch and heave in total values, measured on a boom."""
+
+    states = ("w", "q")
+    inputs = ("lon",)
+    outputs = ("az", "q", "w", "alpha")
+
+    Zw: Scalar = parameter(default=-0.6, lower=-3.0, upper=0.0, unit="1/s")
+    Mq: Scalar = parameter(default=-1.5, lower=-5.0, upper=0.0, unit="1/s")
+    place: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="m")
+    k_q: Scalar = parameter(default=1.0, lower=0.5, upper=1.5, unit="-")
+
+    def derivatives(self, x, u):
+        return [self.Zw * x.w + 40 * x.q - 5 * u.lon, -0.02 * x.w + self.Mq * x.q + 8 * u.lon]
+
+    def measurements(self, x, u):
+        return [self.Zw * x.w - 5 * u.lon, x.q, x.w, x.w / 40]
+
+    def sensors(self):
+        on = Sensor(x=self.place)
+        vane = Sensor(x=self.place, airspeed=40.0)
+        return {"az": on, "w": on, "alpha": vane, "q": Sensor(scale=self.k_q)}
+
+
+def test_a_nonlinear_structure_that_is_linear_measures_as_a_linear_one():
+    class Linear(Model):
+        states, inputs, outputs = Boomed.states, Boomed.inputs, Boomed.outputs
+
+        def A(self):
+            return [[-0.6, 40], [-0.02, -1.5]]
+
+        def B(self):
+            return [[-5], [8]]
+
+        def C(self):
+            return [[-0.6, 0], [0, 1], [1, 0], [1 / 40, 0]]
+
+        def D(self):
+            return [[-5], [0], [0], [0]]
+
+        def sensors(self):
+            on, vane = Sensor(x=2.0), Sensor(x=2.0, airspeed=40.0)
+            return {"az": on, "w": on, "alpha": vane, "q": Sensor(scale=1.1)}
+
+    model = Boomed(place=2.0, k_q=1.1)
+    for each in (model, model.at({"w": 3.0})):  # at its reference, and elsewhere
+        found, expected = each.system(), Linear().system()
+        for part in "ABCD":
+            np.testing.assert_allclose(getattr(found, part), getattr(expected, part), atol=1e-12)
+
+
+@pytest.mark.second
+def test_place_and_scale_of_a_nonlinear_structure_are_estimated():
+    rng, t = np.random.default_rng(4), np.arange(0, 12, 0.04)
+    u = 0.1 * np.sign(np.sin(1.3 * t**1.2))[:, None]
+    A, B = np.array([[-0.6, 40], [-0.02, -1.5]]), np.array([-5, 8])
+    x, y = np.zeros(2), np.zeros((len(t), 4))
+    for n in range(len(t)):
+        force = -0.6 * x[0] - 5 * u[n, 0] - 2.0 * (A @ x + B * u[n, 0])[1]
+        y[n] = [force, 1.1 * x[1], x[0] - 2.0 * x[1], (x[0] - 2.0 * x[1]) / 40]
+        for _ in range(40):  # held inputs
+            x = x + 0.001 * (A @ x + B * u[n, 0])
+    y += rng.standard_normal(y.shape) * [0.05, 0.003, 0.05, 0.002]
+    record = Record(t, u, y, Boomed.inputs, Boomed.outputs, "flight", hold="zoh")
+    fit = output_error(Boomed(), record)
+    for name, true in (("place", 2.0), ("k_q", 1.1), ("Zw", -0.6), ("Mq", -1.5)):
+        assert abs(fit[name].value - true) < 3 * fit[name].std_error, name
+    assert fit["place"].std_error < 0.05
+
+
+def test_sensors_of_nonlinear_structures_are_not_late():
+    with pytest.raises(ModelError, match="sensors of nonlinear structures have no delay; shift"):
+        type("Late", (RigidBody,), {"late_outputs": ("phi",)})
+    late = type("Late", (RigidBody,), {"sensors": lambda _: {"phi": Sensor(delay=0.05)}})
+    with pytest.raises(ModelError, match=r"'phi' has a delay, .* nonlinear structures do not"):
+        late().equations()

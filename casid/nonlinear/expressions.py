@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casid import declaration
+from casid import declaration, sensors
 from casid.arrays import BoolArray
 from casid.checks import check_known
 from casid.errors import ModelError
@@ -35,7 +35,7 @@ Nonlinear: TypeAlias = Any  # a NonlinearModel, whose module stands above
 
 
 def evaluated(model: Nonlinear, x: Sequence[Any], u: Sequence[Any]) -> tuple[ca.SX, ca.SX]:
-    """Right-hand sides (nx,) and outputs (ny,) at numbers or symbols.
+    """Right-hand sides (nx,) and outputs (ny,), as sensors have them, at numbers or symbols.
 
     ModelError: a method that raises, or gives something else than one expression each.
     """
@@ -51,10 +51,9 @@ def evaluated(model: Nonlinear, x: Sequence[Any], u: Sequence[Any]) -> tuple[ca.
         pairs = zip(values, names, strict=True)
         return ca.vertcat(*[declaration.scalar(v, f"that of {n!r}") for v, n in pairs])
 
-    return (
-        declaration.written(model, "derivatives", lambda v: column(v, model.states), *named),
-        declaration.written(model, "measurements", lambda v: column(v, model.outputs), *named),
-    )
+    f = declaration.written(model, "derivatives", lambda v: column(v, model.states), *named)
+    h = declaration.written(model, "measurements", lambda v: column(v, model.outputs), *named)
+    return f, declaration.written(model, "sensors", lambda v: sensors.sensed(model, x, f, h, v))
 
 
 def reference_point(model: Nonlinear) -> tuple[list[Any], list[Any]]:

@@ -30,15 +30,17 @@ SCATTERED = 6  # conditions at which equations are told from others
 class NonlinearModel(Model, base=True):
     """Base of every nonlinear structure; subclasses become frozen dataclasses like a `Model`'s.
 
-    ``units`` may say the units of states, inputs and outputs, for tables.
+    ``units`` may say the units of states, inputs and outputs, for tables. `Model.sensors` are those
+    of a linear structure but for delays: outputs of ``measurements`` are at the centre of gravity.
     """
 
     units: ClassVar[Mapping[str, str]] = {}
 
     def __init_subclass__(cls, *, base: bool = False) -> None:
-        if cls.late_outputs or cls.sensors is not Model.sensors:
+        if cls.late_outputs:
             raise ModelError(
-                f"{cls.__name__}: sensors of a nonlinear structure are written in measurements"
+                f"{cls.__name__}.late_outputs: sensors of nonlinear structures have no delay; "
+                "shift the channels of the records instead (Record.shift)"
             )
         super().__init_subclass__(base=base)
         if both := [name for name in cls.states if name in cls.inputs]:
