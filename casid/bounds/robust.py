@@ -27,6 +27,7 @@ from casid.shooting.scores import left_out
 SMALLEST = 1e-9  # variance of a direction that is held already, of the largest
 ROUNDING = 1e-12  # of the variances in units of standard errors
 ENOUGH = 2.0  # degrees of freedom: below, Student's t has no variance
+FALSE = 0.05  # of parameters said to scatter, those that do by chance
 
 
 def weights(fit: AnyFit, A: Array) -> Array:
@@ -73,6 +74,30 @@ def price_p_values(fit: AnyFit, A: Array, prices: Array) -> Array:
     variance = np.diag(inverse @ V @ inverse)
     z = np.abs(prices) / np.sqrt(np.where(variance > 0, variance, np.nan))
     return np.asarray(2 * scipy.special.ndtr(-z))
+
+
+def scattered(fit: AnyFit) -> dict[str, float]:
+    """Parameters whose estimates scatter from record to record by more than their errors say.
+
+    With how many times as much. One in twenty of those named, at most, is by chance (Y. Benjamini,
+    Y. Hochberg, J. Royal Statistical Society B 57(1), 1995). None where errors allow for it, where
+    too few records tell of a parameter, and of fits that do not know how records scatter.
+    """
+    notes = fit.notes
+    if not isinstance(notes, OutputErrorNotes) or fit.covariance is None:
+        return {}
+    if notes.between_records.size or not len(notes.record_scores):
+        return {}
+    found = {}
+    for i, name in enumerate(fit.free_names):
+        stated, a = fit.covariance[i, i], np.arange(len(fit.free_names)) == i
+        variance, freedom = _by_records(fit, a.astype(float))
+        if freedom >= ENOUGH and 0 < stated < np.inf:
+            chance = float(scipy.special.chdtrc(freedom, freedom * variance / stated))
+            found[name] = variance / stated, chance
+    order = sorted(found, key=lambda name: found[name][1])
+    last = [k for k, name in enumerate(order, 1) if found[name][1] <= FALSE * k / len(order)]
+    return {name: float(np.sqrt(found[name][0])) for name in order[: max(last, default=0)]}
 
 
 def _by_records(fit: AnyFit, a: Array) -> tuple[float, float]:

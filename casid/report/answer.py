@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
+from casid.bounds.robust import scattered
 from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Content
@@ -67,10 +68,15 @@ def doubted(content: Content, fit: AnyFit) -> Mapping[str, tuple[str, ...]]:
     """Why not to believe a parameter's value, by its name: all reasons, keys of ``WORDS``."""
     pairs = combinations(content.fits.values(), 2)
     differing = {name for one, other in pairs for name in significant_differences(one, other)}
-    reasons = {}
+    reasons, scatter = {}, scattered(fit)
     for row in fit.parameters:
         unsure = not row.fixed and row.std_error > abs(row.value)
-        there = {"held": row.active, "unsure": unsure, "apart": row.name in differing}
+        there = {
+            "held": row.active,
+            "unsure": unsure,
+            "apart": row.name in differing,
+            "scattered": row.name in scatter,
+        }
         reasons[row.name] = tuple(reason for reason in WORDS if there[reason])
     return {name: found for name, found in reasons.items() if found}
 
@@ -97,4 +103,5 @@ WORDS = {
     "held": "held by a bound",
     "unsure": "of unknown sign",
     "apart": "on which the estimates differ by more than their errors allow",
+    "scattered": "whose estimates scatter from record to record by more than their errors allow",
 }

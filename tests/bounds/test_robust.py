@@ -1,6 +1,7 @@
 """Weights of the likelihood ratio against linear least squares by hand, p-values against draws."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,16 @@ import scipy.stats
 from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 
 from casid import Execution, OutputError, compare_bounds, output_error
-from casid.bounds.robust import _by_records, p_value, price_p_values, ratio_p_value, weights
+from casid.bounds.robust import (
+    _by_records,
+    p_value,
+    price_p_values,
+    ratio_p_value,
+    scattered,
+    weights,
+)
 from casid.fit import Fit
+from casid.shooting.precision import OutputErrorNotes
 
 KNOWN = OutputError(R=np.array([[NOISE**2]]))
 RNG = np.random.default_rng(4)
@@ -169,3 +178,32 @@ def test_a_record_that_tells_nothing_has_no_degrees_of_freedom(fit):
     none = {"record_scores": np.zeros((1, 3)), "record_information": np.zeros((1, 3, 3))}
     silent = replace(fit, notes=replace(fit.notes, **none))
     assert _by_records(silent, np.array([1.0, 0.0, 0.0])) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("times", "fewest", "most"), [(1.0, 0, 4), (4.0, 9, 10)])
+def test_parameters_that_scatter_from_record_to_record_are_those_of_few_false_discoveries(
+    times, fewest, most
+):
+    # Six records alike of twenty parameters, half of which scatter by so many times their errors:
+    # scores less their mean are those of a sample, its variance is χ² of five degrees of freedom.
+    rng, (n, m) = np.random.default_rng(7), (6, 20)
+    e = rng.standard_normal((n, m)) * np.where(np.arange(m) < m / 2, times, 1.0) / np.sqrt(n)
+    scores, eye = e - e.mean(axis=0), np.eye(m)
+    names = tuple(f"a{i}" for i in range(m))
+    notes = OutputErrorNotes(
+        rounds=1, nodes=n, nuisances=0, cramer_rao=eye, correlation=eye, collinear=(),
+        record_scores=scores, record_information=np.tile(eye / n, (n, 1, 1)),
+    )  # fmt: skip
+    stated = eye.copy()
+    stated[-1, -1] = np.nan  # of what is held
+    found = scattered(SimpleNamespace(notes=notes, covariance=stated, free_names=names))
+    variance = n * np.var(scores[:, :-1], axis=0, ddof=1)
+    chance = scipy.stats.chi2.sf((n - 1) * variance, n - 1)
+    told = scipy.stats.false_discovery_control(chance) <= 0.05
+    assert set(found) == {name for name, off in zip(names, told, strict=False) if off}
+    assert fewest <= len(found) <= most
+    for name, ratio in found.items():
+        assert ratio**2 == pytest.approx(variance[names.index(name)])
+    wide = replace(notes, between_records=eye)
+    assert scattered(SimpleNamespace(notes=wide, covariance=stated, free_names=names)) == {}
+    assert scattered(SimpleNamespace(notes=None, covariance=stated, free_names=names)) == {}

@@ -96,7 +96,7 @@ def test_estimates_can_be_compared_where_both_have_errors(one, other, told):
 
 
 @pytest.mark.slow
-def test_every_parameter_in_doubt_is_named_with_its_reasons(content):
+def test_every_parameter_in_doubt_is_named_with_its_reasons(content, monkeypatch):
     fit = content.results["output_error"]
     rows = [dataclasses.replace(row, std_error=1e3) for row in fit.parameters]
     rows[0] = dataclasses.replace(rows[0], active=True)
@@ -118,6 +118,10 @@ def test_every_parameter_in_doubt_is_named_with_its_reasons(content):
     without = dataclasses.replace(certain, parameters=tuple(none))  # a match states no errors
     untold = dataclasses.replace(content, models={"one": certain, "other": without})
     assert "disagrees" not in not_believed(untold, certain)
+    monkeypatch.setattr("casid.report.answer.scattered", lambda _: {rows[1].name: 2.0})
+    assert doubted(alone, certain) == {rows[1].name: ("scattered",)}
+    said = not_believed(alone, certain)
+    assert "1 whose estimates scatter from record to record by more than their errors" in said
 
 
 @pytest.mark.slow
