@@ -114,10 +114,8 @@ def tab():
         browser.close()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "whole", [False, pytest.param(True, marks=pytest.mark.campaign)], ids=["formulas", "all"]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("whole", [False, True], ids=["formulas", "all"])
 def test_pages_opened_from_disk_typeset_their_formulas_and_fetch_nothing(whole, site, tab):
     asked, complaints = [], []
     tab.on("request", lambda request: asked.append(request.url))

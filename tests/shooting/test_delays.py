@@ -213,7 +213,7 @@ def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
     assert len(ends) > passed.sum()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_stretch_beyond_a_jump_that_is_passed_over_has_nothing_better(monkeypatch):
     told, ends = [], []
     honest, solved = search.Reduced.least, search.Search._inside

@@ -119,10 +119,8 @@ def drifting(seed, pole=0.98):
     return found
 
 
-@pytest.mark.parametrize(
-    "runs",
-    [pytest.param(12, marks=pytest.mark.slow), pytest.param(60, marks=pytest.mark.campaign)],
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("runs", [12, 60])
 @pytest.mark.filterwarnings("ignore:.*few lines")
 def test_errors_hold_under_noise_that_rises_steeply(runs):
     z = []

@@ -87,7 +87,7 @@ def bounded(record, start, lower, upper):
     return found.x, found.cost
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_case_beside_another_is_bounded_least_squares_and_its_prices_are_slopes_of_their_cost():
     record = flown(seed=1).between(0, 8).with_noise(SIGMA, np.random.default_rng(4))
     R = np.diag(list(SIGMA.values())) ** 2

@@ -86,10 +86,8 @@ def rotor_flight(seed, rng, N=400):
     return Record(t, u, y, TRUTH.inputs, TRUTH.outputs, f"rotor {seed}")
 
 
-@pytest.mark.parametrize(
-    "runs",
-    [pytest.param(50, marks=pytest.mark.slow), pytest.param(150, marks=pytest.mark.campaign)],
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("runs", [50, 150])
 def test_error_is_the_bound_and_intervals_cover_what_they_claim(runs):
     fits = []
     for run in range(runs):
