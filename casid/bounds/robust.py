@@ -55,7 +55,7 @@ def ratio_p_value(fit: AnyFit, A: Array, statistic: float) -> float:
     """Probability of a likelihood ratio this large if the data did not mind that A λ is held."""
     root, V = _whitener(fit, A)
     if root.shape[1] == 1:
-        variance, freedom = _by_records(fit, A.T @ root[:, 0])
+        (variance,), (freedom,) = _by_records(fit, root.T @ A)
         if freedom >= ENOUGH:
             return 2 * float(scipy.special.stdtr(freedom, -np.sqrt(statistic / variance)))
     return p_value(statistic, np.linalg.eigvalsh(root.T @ V @ root))
@@ -88,36 +88,42 @@ def scattered(fit: AnyFit) -> dict[str, float]:
         return {}
     if notes.between_records.size or not len(notes.record_scores):
         return {}
+    stated = np.diag(fit.covariance)
+    told = _by_records(fit, np.eye(len(stated)))
     found = {}
-    for i, name in enumerate(fit.free_names):
-        stated, a = fit.covariance[i, i], np.arange(len(fit.free_names)) == i
-        variance, freedom = _by_records(fit, a.astype(float))
-        if freedom >= ENOUGH and 0 < stated < np.inf:
-            chance = float(scipy.special.chdtrc(freedom, freedom * variance / stated))
-            found[name] = variance / stated, chance
+    for name, own, variance, freedom in zip(fit.free_names, stated, *told, strict=True):
+        if freedom >= ENOUGH and 0 < own < np.inf:
+            chance = float(scipy.special.chdtrc(freedom, freedom * variance / own))
+            found[name] = variance / own, chance
     order = sorted(found, key=lambda name: found[name][1])
     last = [k for k, name in enumerate(order, 1) if found[name][1] <= FALSE * k / len(order)]
     return {name: float(np.sqrt(found[name][0])) for name in order[: max(last, default=0)]}
 
 
-def _by_records(fit: AnyFit, a: Array) -> tuple[float, float]:
-    """aᵀ V a by whole records, and its degrees of freedom; 0 of no records."""
+def _by_records(fit: AnyFit, A: Array) -> tuple[Array, Array]:
+    """Variances (m,) of combinations A (m, nf) by whole records, and degrees of freedom.
+
+    0 of no records.
+    """
     g, F = fit.notes.record_scores, fit.notes.record_information
     if not len(g):
-        return 0.0, 0.0
+        return np.zeros(len(A)), np.zeros(len(A))
     size = np.sqrt(np.diag(fit.notes.cramer_rao))
     unit = np.where(size > 0, size, 1.0)
     values, axes = np.linalg.eigh(fit.notes.cramer_rao / np.outer(unit, unit))
     known = values > ROUNDING * values.max()
     T = unit[:, None] * axes[:, known] * np.sqrt(values[known])  # P = T Tᵀ
     H = T.T @ F @ T
-    b = np.array([left_out(share, 0.5) @ T.T @ a for share in H])
-    told = np.einsum("cij,cj->ci", H, b)
+    b = np.array([A @ T @ left_out(share, 0.5) for share in H])  # (records, m, k)
+    told = b @ H
     # Σ (b_cᵀ Tᵀ g_c)² is a quadratic form of white residuals, this its matrix but for rotations.
-    form = np.diag(np.sum(b * told, axis=1)) - told @ told.T
-    size = np.sum(form**2)
-    freedom = np.trace(form) ** 2 / size if size > 0 else 0.0  # none of a record alone
-    return float(np.sum(np.sum(b * (g @ T), axis=1) ** 2)), float(freedom)
+    form = -np.einsum("cmi,dmi->mcd", told, told)
+    records = np.arange(len(g))
+    form[:, records, records] += np.sum(b * told, axis=2).T
+    size = np.sum(form**2, axis=(1, 2))
+    freedom = np.trace(form, axis1=1, axis2=2) ** 2 / np.where(size > 0, size, np.inf)
+    variance = np.sum(np.einsum("cmi,ci->cm", b, g @ T) ** 2, axis=0)
+    return variance, freedom  # none of a record alone
 
 
 def _whitener(fit: AnyFit, A: Array) -> tuple[Array, Array]:
