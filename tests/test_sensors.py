@@ -134,6 +134,28 @@ def test_sensor_that_means_nothing_is_refused(found, message):
         Wrong().matrices()
 
 
+@pytest.mark.parametrize("base", ["Vane", "Boomed"])
+@pytest.mark.parametrize(
+    ("found", "states", "message"),
+    [
+        ({"alpha": Sensor(x=3.0)}, ("w", "q"), "vane of 'alpha' has a place; give its airspeed"),
+        ({"w": Sensor(x=3.0)}, ("w", "s"), "'w' needs the rates p, q or r among the states"),
+    ],
+)
+def test_a_place_that_nothing_turns_and_a_vane_without_airspeed_are_refused(
+    base, found, states, message
+):
+    own = {"Vane": Vane, "Boomed": Boomed}[base]
+    methods = {
+        "derivatives": lambda self, x, u: [self.Zw * x.w + 40 * x.s - u.lon, x.w - x.s],
+        "measurements": lambda _, x, __: [x.w, x.s, x.w, x.w],
+    }
+    parts = {"states": states, "sensors": lambda _: found}
+    parts |= methods if base == "Boomed" and "s" in states else {}
+    with pytest.raises(ModelError, match=message):
+        type("Wrong", (own,), parts)().matrices()
+
+
 @pytest.mark.parametrize("wrong", [{"scale": "1.1"}, {"delay": -0.05}, {"x": np.nan}, {"y": None}])
 def test_sensor_of_no_numbers_is_refused_when_it_is_made(wrong):
     with pytest.raises(ModelError, match=rf"Sensor\({next(iter(wrong))}=.*expected"):

@@ -207,3 +207,7 @@ def test_parameters_that_scatter_from_record_to_record_are_those_of_few_false_di
     wide = replace(notes, between_records=eye)
     assert scattered(SimpleNamespace(notes=wide, covariance=stated, free_names=names)) == {}
     assert scattered(SimpleNamespace(notes=None, covariance=stated, free_names=names)) == {}
+    few = replace(
+        notes, record_scores=50 * scores[:2], record_information=np.tile(eye / 2, (2, 1, 1))
+    )
+    assert scattered(SimpleNamespace(notes=few, covariance=stated, free_names=names)) == {}

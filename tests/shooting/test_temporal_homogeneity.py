@@ -206,6 +206,9 @@ def test_where_residuals_follow_the_inputs_one_record_is_told_and_not_that_all_d
     monkeypatch.setattr("casid.shooting.temporal_homogeneity.followed", lambda *_: missed)
     found = contradiction(*made)
     assert (found and found[1].which) == which
+    known, told = contradiction(*made, known=True)  # as a fit beside has found
+    assert len(known.records.sources) == 3
+    assert (told is None) == (which is None)
 
 
 @pytest.mark.second
