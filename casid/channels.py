@@ -18,15 +18,19 @@ UNITS = {  # in which a channel of that name is
     **dict.fromkeys(CONTROLS, "travel"),
 }
 
-DEGREE = 0.017453292519943295  # rad
+GRAVITY = 9.80665  # m/s²
+TURN = 6.283185307179586  # rad
+DEGREE = TURN / 360
 MEASURES = {  # SI unit -> what one of each unit is in it; PWM travels 1000 µs, u16 has 16 bits
     "1": {"1": 1.0, "-": 1.0, "%": 0.01, "pwm": 1e-3, "u16": 1 / 65535},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9},
-    "rad": {"rad": 1.0, "deg": DEGREE},
-    "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "dps": DEGREE},
-    "m": {"m": 1.0, "ft": 0.3048, "in": 0.0254},
-    "m/s": {"m/s": 1.0, "ft/s": 0.3048, "kt": 1852 / 3600, "kn": 1852 / 3600, "km/h": 1 / 3.6},
-    "m/s²": {"m/s^2": 1.0, "m/s²": 1.0, "ft/s^2": 0.3048, "g": 9.80665},
+    "rad": {"rad": 1.0, "deg": DEGREE, "mrad": 1e-3},
+    "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "dps": DEGREE, "mrad/s": 1e-3, "rpm": TURN / 60},
+    "rad/s²": {"rad/s^2": 1.0, "rad/s²": 1.0, "deg/s^2": DEGREE},
+    "m": {"m": 1.0, "ft": 0.3048, "in": 0.0254, "cm": 0.01, "mm": 1e-3, "km": 1e3},
+    "m/s": {"m/s": 1.0, "ft/s": 0.3048, "kt": 1852 / 3600, "kn": 1852 / 3600, "km/h": 1 / 3.6}
+    | {"ft/min": 0.3048 / 60, "mph": 0.44704, "cm/s": 0.01, "mm/s": 1e-3},
+    "m/s²": {"m/s^2": 1.0, "m/s²": 1.0, "ft/s^2": 0.3048, "g": GRAVITY, "mg": 1e-3 * GRAVITY},
 }
 PULSES = ("us", "µs")  # of a control: pulses of a servo
 SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
@@ -40,6 +44,10 @@ WORDS = {  # parts of units, in lower case, as they are written beside those tha
     **dict.fromkeys(("hr", "hour", "hours"), "h"),
     **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("kilometer", "kilometers", "kilometre", "kilometres"), "km"),
+    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("milliradian", "milliradians"), "mrad"),
     **dict.fromkeys(("foot", "feet"), "ft"),
     **dict.fromkeys(("inch", "inches"), "in"),
     **dict.fromkeys(("s2", "s²", "s**2", "sec2", "sec^2", "sec²", "sec**2"), "s^2"),
@@ -49,13 +57,19 @@ SPELT = {  # whole units, likewise, their parts as above
     **dict.fromkeys(("kts", "knot", "knots", "nmi/h"), "kt"),
     **dict.fromkeys(("percent", "per cent", "pct"), "%"),
     **dict.fromkeys(("kmh", "kph"), "km/h"),
+    **dict.fromkeys(("mi/h", "mile/h", "miles/h"), "mph"),
+    **dict.fromkeys(("rev/min", "revolutions/min", "r/min"), "rpm"),
+    "fpm": "ft/min",
     "fps": "ft/s",
     "mps": "m/s",
     "m/s/s": "m/s^2",
     "ft/s/s": "ft/s^2",
+    "deg/s/s": "deg/s^2",
+    "rad/s/s": "rad/s^2",
     "g's": "g",
+    "milli-g": "mg",
 }
-POWER = re.compile(r"[ .*·]?(s|sec|second|h|hr|hour)(?:\^|\*\*)?(?:-([12])|⁻([¹²]))$")  # m s-2
+POWER = re.compile(r"[ .*·]?(s|sec|second|min|h|hr|hour)(?:\^|\*\*)?(?:-([12])|⁻([¹²]))$")  # m s-2
 
 
 def spelt(unit: str) -> str:

@@ -95,8 +95,8 @@ def test_trim_is_removed_on_reading_and_written_back(tmp_path):
         ("t,lat,p,phi\n0,1,2,3\n", {"units": {"q": "deg"}}, "units name channel 'q', which is not"),
         (
             "t,lat,p,phi\n0,1,2,3\n",
-            {"units": {"p": "rpm"}},
-            "channel 'p': unknown unit 'rpm'",
+            {"units": {"p": "rps"}},
+            "channel 'p': unknown unit 'rps'",
         ),
         ("t,lat,p,phi\n0,1,2,3\n1,,2,3\n", {}, "input 'lat' is nan at sample 1"),
         ("t,lat,p,phi\n1,1,2,3\n0,1,2,3\n", {}, "time does not increase at sample 1"),

@@ -132,7 +132,7 @@ def _remarks(
     said = []
     others = " and ".join(check.against)
     factor = 1 + check.scale
-    known = signs.of(check.channel) or mistake(factor)
+    known = signs.of(check.channel) or mistake(factor, check.channel)
     large = abs(check.scale) > max(tolerance, SIGNIFICANT * check.scale_error)
     if large and (holds or known):
         said.append(

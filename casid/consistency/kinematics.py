@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.arrays import BoolArray
-from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, GRAVITY, RATES, VELOCITIES
 from casid.consistency.clock_skews import Apart, known, stands_apart
 from casid.consistency.comparisons import ChannelCheck, judged
 from casid.consistency.drifts import Drifts, without_drifts
@@ -35,7 +35,7 @@ from casid.consistency.remarks import (
     turned,
     unexplained,
 )
-from casid.consistency.rigid import GRAVITY, NEEDED, WHOLE
+from casid.consistency.rigid import NEEDED, WHOLE
 from casid.consistency.signs import set_upright
 from casid.consistency.single_skew import one_alone
 from casid.consistency.voting import mean, significant

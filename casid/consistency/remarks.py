@@ -5,11 +5,10 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import FORCES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, GRAVITY, RATES, VELOCITIES
 from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight, white_noise
 from casid.consistency.random_walks import walked
-from casid.consistency.rigid import GRAVITY
 from casid.consistency.voting import SIGNIFICANT
 from casid.display import listed
 from casid.record import REST
@@ -34,6 +33,8 @@ FACTORS = {
     "its reference seems to be in degrees": np.pi / 180,
     COUNTED.format("ms"): 1e3,
     COUNTED.format("us"): 1e6,
+}
+OF_LENGTHS = {  # which no angle and no rate can have
     "it seems to be in g": 1 / GRAVITY,
     "it seems to be in feet": 1 / 0.3048,
     "its reference seems to be in feet": 0.3048,
@@ -81,10 +82,11 @@ def _rolls(flights: Sequence[Flight]) -> bool:
     return bool(alike and np.abs(p).max() < FASTEST)
 
 
-def mistake(factor: float) -> str:
-    """The mistake that a factor betrays, if any."""
-    why = [why for why, known in FACTORS.items() if abs(factor / known - 1) < ALIKE]
-    return why[0] if why else ""
+def mistake(factor: float, channel: str) -> str:
+    """The mistake that a factor betrays, if any that this channel can have."""
+    turns = channel in RATES + ATTITUDES
+    known = FACTORS if turns else FACTORS | OF_LENGTHS
+    return next((why for why, each in known.items() if abs(factor / each - 1) < ALIKE), "")
 
 
 def unexplained(
@@ -172,7 +174,9 @@ def against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, ..
         leans = rests and abs(due) > LEAN * GRAVITY and abs(found / due + 1) < ALIKE
         if abs(found - due) <= ROUGH * GRAVITY and not leans:
             continue
-        why = (mistake(float(found / due)) if due else "") or "look at its sign, unit and bias"
+        why = (
+            mistake(float(found / due), name) if due else ""
+        ) or "look at its sign, unit and bias"
         said.append(
             f"{name} is {found:.3g} m/s^2 in trim, but gravity would make it {due:.3g}: {why}"
         )

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, GRAVITY, RATES, VELOCITIES
 from casid.consistency.instruments import CLOCKS, OWN
 from casid.consistency.measured import Flight, read_later
 
-GRAVITY = 9.80665  # m/s^2
 TURNED = ("phi", "theta")  # attitudes that stand in products
 NEEDED = {  # channels without which an equation means nothing
     "phi": {"phi", "p"},

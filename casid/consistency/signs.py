@@ -16,14 +16,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casid.channels import ATTITUDES, FORCES, MEASURES, VELOCITIES
+from casid.channels import ATTITUDES, FORCES, GRAVITY, MEASURES, VELOCITIES
 from casid.consistency.attitude_clocks import reconstruct_level
 from casid.consistency.flightpath import GAINS
 from casid.consistency.innovations import innovations
 from casid.consistency.instruments import Instruments
 from casid.consistency.measured import Flight
 from casid.consistency.remarks import against_gravity, unexplained
-from casid.consistency.rigid import GRAVITY
 from casid.consistency.voting import SIGNIFICANT
 
 LIKELY = 50.0  # by which -2 log likelihood may differ of what explains as much

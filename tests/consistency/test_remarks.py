@@ -21,8 +21,14 @@ def still(**values):
     [(-1.1, "sign"), (57.0, "degrees"), (0.1, " g"), (3.3, "feet"), (1001.0, "ms"), (1.5, "")],
 )
 def test_a_factor_betrays_a_mistake(factor, word):
-    assert word in mistake(factor)
-    assert bool(mistake(factor)) == bool(word)
+    assert word in mistake(factor, "ax")
+    assert bool(mistake(factor, "ax")) == bool(word)
+
+
+@pytest.mark.parametrize("channel", ["p", "theta"])
+def test_what_turns_is_in_no_lengths(channel):
+    assert not any(mistake(factor, channel) for factor in (0.1, 3.3, 0.3048))
+    assert "degrees" in mistake(57.0, channel)
 
 
 def test_angles_beyond_a_turn_are_no_radians():
