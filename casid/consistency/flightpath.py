@@ -25,7 +25,6 @@ end (`casid.consistency.errors_in_variables`). Standard errors allow for what co
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -38,12 +37,13 @@ from casid.consistency.clipping import Beside, Limit, Whitened, beside, cut_off,
 from casid.consistency.errors_in_variables import Corrected, Eliminated, Normal
 from casid.consistency.innovations import growing, innovations, integral, steady_gain
 from casid.consistency.instruments import CLOCKS, OWN, Instruments
-from casid.consistency.measured import Flight, white_noise
+from casid.consistency.measured import Flight, noisier, white_noise
 from casid.consistency.rigid import TURNED, WHOLE, Sides, Terms, terms_of
+from casid.consistency.saturation import ratio_errors
 
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
-CORRECTIONS, DRAWS = 5, 2  # last iterations, without what noise pretends, and its draws for it
+CORRECTIONS = 5  # last iterations, without what noise pretends
 SETTLED = 1e-3  # of gains and skews [s]
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
@@ -86,8 +86,11 @@ def reconstruct(
     scores = np.concatenate([one.scores(whole) for one, whole in pairs])
     loose = Corrected(plain + Normal(np.diag(free**-2.0), np.zeros(len(free))), plain * 0.0)
     P = corrected.covariance(scores, reach) + np.diag(step**2)
+    clock, size = 2 * n, np.sqrt(np.diag(P))
+    wider = ratio_errors(problem, x, own, reach, size, range(1, clock, 2))
+    pulled = P / size**2 * np.sqrt(wider**2 - size**2)  # what a delay takes with it
+    P = P + pulled @ pulled.T
     errors = np.sqrt(np.diag(P))
-    clock = 2 * n
     late = [*range(1, clock, 2), *range(clock, clock + placed)]
     return Instruments(
         channels=problem.channels,
@@ -142,11 +145,12 @@ def _solved(
             pretended = problem.pretended(x, own, plain)
             corrected = Corrected(seen, pretended)
             step = corrected.step()
-        step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4).clip(
-            -LATE - x[skews], LATE - x[skews]
-        )
+        most = LATE / 4 * (iteration >= REGAIN[0])  # an integral's walk would pass for a skew
+        step[skews] = np.clip(step[skews], -most, most).clip(-LATE - x[skews], LATE - x[skews])
         x, own = x + step, own + [one.step(step) for one in flown]
-        pretended = pretended and pretended.after(step)
+        still = step.copy()
+        still[skews] = 0.0  # stationary noise is as large whenever it is read
+        pretended = pretended and pretended.after(still)
         iteration += 1
     return x, own, blocks, corrected, step
 
@@ -282,17 +286,11 @@ class _Reconstruction:
 
     @cached_property
     def _noisier(self) -> list["_Reconstruction"]:
-        """The same with noise of both signs on top: only what is quadratic in it remains."""
-        rng, found = np.random.default_rng(0), []
-        for _ in range(DRAWS):
-            more = [flight.scatter(rng) for flight in self.flights]
-            for sign in (-1.0, 1.0):
-                flights = [
-                    replace(flight, values={k: v + sign * add[k] for k, v in flight.values.items()})
-                    for flight, add in zip(self.flights, more, strict=True)
-                ]
-                found.append(_Reconstruction(flights, self.equations, self.alone))
-                found[-1].gains, found[-1].sizes = self.gains, self.sizes
+        """The same with noise on top, so that in their mean only its squares remain."""
+        found, rng = [], np.random.default_rng(0)
+        for flights in noisier(self.flights, rng):
+            found.append(_Reconstruction(flights, self.equations, self.alone))
+            found[-1].gains, found[-1].sizes = self.gains, self.sizes
         return found
 
     def fit_gains(self, blocks: Sequence[Block], scaling: Array) -> None:

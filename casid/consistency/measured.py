@@ -1,6 +1,6 @@
 """What was measured in flight, as kinematics looks at it: total values on equidistant instants."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,6 +19,9 @@ MOST = 60_000  # samples that are looked at
 SHORTEST = 20  # samples
 GAPS = 0.2  # share of missing samples above which a channel is left out
 COARSE = 0.03  # rounding, of what a channel moves: more is seen in its scale
+CROSSED = "++-+++---+-"  # signs of eleven channels, turned on from one of twelve draws to the next
+COLUMNS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "u", "v", "w")
+MATES = {"psi": "ax"}  # of which no equation has both
 LONGEST = 1.0  # s that a channel is lost within a stretch: nobody knows what it did in more
 
 
@@ -68,6 +71,23 @@ class Flight:
     def only(self, names: Collection[str]) -> "Flight":
         """The same flight with some of its channels, in the order they have."""
         return replace(self, values={k: x for k, x in self.values.items() if k in names})
+
+
+def noisier(flights: Sequence[Flight], rng: np.random.Generator) -> Iterator[list[Flight]]:
+    """Flights with as much noise again, of signs whose mean leaves each channel's own square.
+
+    What is odd in it and products of two channels, which are nothing but chance, cancel: R. L.
+    Plackett, J. P. Burman, The design of optimum multifactorial experiments, Biometrika 33, 1946.
+    """
+    row = np.array([1.0 if sign == "+" else -1.0 for sign in CROSSED])
+    more = [flight.scatter(rng) for flight in flights]
+    for signs in (*(np.roll(row, k) for k in range(len(row))), -np.ones(len(row))):
+        of = dict(zip(COLUMNS, signs, strict=True))
+        of |= {name: of[mate] for name, mate in MATES.items()}
+        yield [
+            replace(each, values={k: x + of.get(k, 1.0) * add[k] for k, x in each.values.items()})
+            for each, add in zip(flights, more, strict=True)
+        ]
 
 
 def strays(record: Record) -> BoolArray:

@@ -12,6 +12,7 @@ from casid.consistency.measured import (
     Flight,
     coarse_step,
     looked_at,
+    noisier,
     read_later,
     signals,
     strays,
@@ -141,3 +142,14 @@ def test_steps_of_a_held_channel_are_no_outliers_and_an_outlier_is_one_as_long_a
     wanted[start : start + every, phi] = wanted[100, p] = True
     wanted[start + 2, phi] = False
     np.testing.assert_array_equal(strays(replace(sound, y=y)), wanted)
+
+
+def test_noise_that_is_added_leaves_no_products_of_two_channels():
+    names = (*"pqr", "phi", "theta", "psi", "ax", "ay", "az", *"uvw")
+    whole = Flight(0.02, 0, {name: np.random.default_rng(3).normal(size=40) for name in names})
+    drawn = [flight.values for (flight,) in noisier([whole], np.random.default_rng(0))]
+    more = np.array([[one[name][0] - whole.values[name][0] for name in names] for one in drawn])
+    np.testing.assert_allclose(more.mean(axis=0), 0.0, atol=1e-12)
+    products = more.T @ more
+    products[5, 6] = products[6, 5] = 0.0  # psi and ax, which no equation has both
+    np.testing.assert_allclose(products, np.diag(np.diag(products)), atol=1e-10)

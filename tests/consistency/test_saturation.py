@@ -1,0 +1,58 @@
+"""A delay of a channel whose likelihood is a closed form: where a parabola holds."""
+
+import numpy as np
+import pytest
+
+from casid.consistency.errors_in_variables import Eliminated, Normal
+from casid.consistency.saturation import ratio_errors
+
+T = np.arange(0, 10 * np.pi, 0.05)
+
+
+class Delayed:
+    """An oscillation ``frequency`` that is seen so much ``late``, besides one unknown level."""
+
+    def __init__(self, frequency, late, size=1.0):
+        self.frequency, self.late, self.size = frequency, late, size
+
+    def blocks(self, x, _own):
+        at = self.frequency * (T - x[0])
+        seen = np.sin(self.frequency * (T - self.late)) + 2.0
+        slopes = [-self.frequency * np.cos(at), np.ones(len(T)), 1e-6 * np.cos(7 * T)]
+        return [("v", 0, self.size * np.array([seen - np.sin(at) - x[1], *slopes]))]
+
+    def whitened(self, blocks):
+        return blocks
+
+    def normal(self, parts, _own):
+        ((_, _, rows),) = parts
+        flown = Eliminated(Normal(rows[1:] @ rows[1:].T, rows[1:] @ rows[0]), 2)
+        return flown.shared, [flown]
+
+
+def errors(frequency, late, size=1.0):
+    """Standard errors of the delay: by curvature, and by the likelihood ratio."""
+    problem, own = Delayed(frequency, late, size), np.zeros((1, 1))
+    (plain,) = problem.normal(problem.blocks(np.array([late, 2.0]), own), own)[1]
+    curved = np.sqrt(np.diag(np.linalg.inv(plain.shared.information)))
+    x = np.array([late, 2.0])
+    found = ratio_errors(problem, x, own, np.array([0.1, 10.0]), curved, [0])
+    assert found[1] == curved[1]  # a level is no delay
+    return curved[0], found[0]
+
+
+def test_where_a_delay_is_short_beside_the_period_the_error_is_that_of_the_curvature():
+    curved, found = errors(1.0, 0.05)
+    assert found == pytest.approx(curved, rel=1e-3)  # 1 - (ω τ)²/24 of a cosine
+
+
+def test_half_a_period_late_the_error_is_that_of_the_likelihood_ratio():
+    """Σ ε² = 2 N (1 − cos ω τ)/2 of two oscillations, a parabola says N (ω τ)²/2."""
+    late = np.pi / 10
+    curved, found = errors(10.0, late, 0.5)
+    assert found / curved == pytest.approx(np.pi / 2, rel=2e-2)
+
+
+def test_what_is_within_its_noise_keeps_its_error():
+    curved, found = errors(10.0, 0.02, 0.05)
+    assert found == curved
