@@ -5,9 +5,10 @@ periods of what is flown. A channel that moves fast and little loses all that it
 fraction of a period late: its likelihood is as flat from there on as if nothing were known, with
 peaks of noise, of which each bends sharply. So the error of a skew τ is no less than asks for
 
-    (τ/σ)² = min Σ ε²|τ=0 − Σ ε²,
+    (τ/σ)² = min Σ ε²|τ=0 − Σ ε² + (τ/s)²,
 
-the likelihood ratio of no skew, all else adjusted to it: where a parabola holds that is its own σ.
+the likelihood ratio of no skew, all else adjusted to it, with a prior deviation s: where a parabola
+holds that is its own σ.
 The signed root of it is normal where the estimate is not: O. E. Barndorff-Nielsen, D. R. Cox,
 Inference and Asymptotics, chapter 6.
 """
@@ -25,8 +26,6 @@ TOLD = 3.0  # standard errors from which on a skew is looked at
 ROUNDS = 3  # steps of all else
 HELD = 1e-6  # s
 LONGEST = 0.125  # s: the largest step of a skew
-LEAST = 1e-2  # of a likelihood ratio: nothing is told
-
 
 Block = tuple[str, int, Array]  # as of `flightpath`
 
@@ -59,8 +58,8 @@ def ratio_errors(
     found, asis = errors.copy(), _size(problem.whitened(problem.blocks(x, own)))
     for i in skews:
         if abs(x[i]) > max(SKEW, TOLD * errors[i]):
-            ratio = max(_least(problem, x, own, reach, i, skews) - asis, LEAST)
-            found[i] = max(errors[i], abs(x[i]) / np.sqrt(ratio))
+            ratio = max(_least(problem, x, own, reach, i, skews) - asis, 0.0)
+            found[i] = max(errors[i], abs(x[i]) / np.sqrt(ratio + (x[i] / reach[i]) ** 2))
     return found
 
 

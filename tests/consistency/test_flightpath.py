@@ -143,4 +143,6 @@ def test_where_the_steps_end_no_step_is_left_with_the_noise_drawn_there_anew():
     pretended = problem.pretended(x, own, plain)
     left = Corrected(plain + prior, pretended).step()
     errors = np.sqrt(np.diag(corrected.covariance(np.zeros((1, len(x))), reach)))
-    assert np.all(np.abs(left[:2]) < 0.01 * errors[:2])
+    scale, skew = np.abs(left[:2]) / errors[:2]
+    assert scale < 0.01
+    assert skew < 0.02  # what noise adds is held when channels move in time: chance is left

@@ -577,6 +577,29 @@ def test_skew_is_found_to_five_milliseconds_among_outliers_and_losses():
     assert not any("late" in remark or "early" in remark for remark in mended.remarks)
 
 
+def noisy_sweeps(seed, late=0.0):
+    """Sweeps of an aircraft at 41 m/s, attitudes and velocities beside; r so much late."""
+    rng, noise = np.random.default_rng(seed), FLOWN | dict.fromkeys("uvw", 0.1)
+    names = (*OUTPUTS, "u", "v", "w")
+    for record in uh60("sweep_*.csv", names):
+        drawn = rng.standard_normal((len(names), record.N)).T * [noise[name] for name in names]
+        yield replace(record, y=record.y + drawn).shift({"r": late})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8, 9])
+def test_sweeps_whose_clocks_are_right_accuse_no_accelerometer_that_hardly_moves(seed):
+    # What noise bends of the likelihood of ay's skew was carried on far beyond where it holds.
+    assert kinematic_check([*noisy_sweeps(seed)]).remarks == ()
+
+
+@pytest.mark.slow
+def test_a_late_gyro_is_found_in_sweeps():
+    check = kinematic_check([*noisy_sweeps(8, 0.06)])
+    assert set(check.shifts) == {"r"}
+    assert check.shifts["r"] == pytest.approx(-0.06, abs=0.005)
+
+
 @pytest.mark.repeats(1)
 @pytest.mark.second
 @pytest.mark.parametrize("bank", [0.3, 0.5])

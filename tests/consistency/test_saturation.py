@@ -30,13 +30,13 @@ class Delayed:
         return flown.shared, [flown]
 
 
-def errors(frequency, late, size=1.0):
+def errors(frequency, late, size=1.0, prior=10.0):
     """Standard errors of the delay: by curvature, and by the likelihood ratio."""
     problem, own = Delayed(frequency, late, size), np.zeros((1, 1))
     (plain,) = problem.normal(problem.blocks(np.array([late, 2.0]), own), own)[1]
     curved = np.sqrt(np.diag(np.linalg.inv(plain.shared.information)))
     x = np.array([late, 2.0])
-    found = ratio_errors(problem, x, own, np.array([0.1, 10.0]), curved, [0])
+    found = ratio_errors(problem, x, own, np.array([prior, 10.0]), curved, [0])
     assert found[1] == curved[1]  # a level is no delay
     return curved[0], found[0]
 
@@ -56,3 +56,10 @@ def test_half_a_period_late_the_error_is_that_of_the_likelihood_ratio():
 def test_what_is_within_its_noise_keeps_its_error():
     curved, found = errors(10.0, 0.02, 0.05)
     assert found == curved
+
+
+def test_where_the_likelihood_tells_nothing_the_error_is_that_of_the_prior():
+    period = 2 * np.pi / 10  # late by a whole one all is as if it were not
+    curved, found = errors(10.0, period, prior=0.3)
+    assert curved < 0.01
+    assert found == pytest.approx(0.3, rel=1e-3)
