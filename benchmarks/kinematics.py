@@ -6,7 +6,7 @@ white noise of density σ_rate² against an attitude in σ_attitude², the Cram�
 
     σ⁻² = Σ_k 2 ω_k² |X(ω_k)|² / (N (σ_rate² + ω_k² σ_attitude²)),    X: transform of the rate.
 
-Run: python -m benchmarks.kinematics      (five minutes)
+Run: python -m benchmarks.kinematics      (ten minutes)
 """
 
 import sys

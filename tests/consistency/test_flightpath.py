@@ -134,7 +134,7 @@ def test_where_the_steps_end_no_step_is_left_with_the_noise_drawn_there_anew():
     rng = np.random.default_rng(3)
     flights = rolls(rng, (1500, 900), 0.002)
     for flight in flights:
-        flight.values["p"] += 0.1 * rng.standard_normal(len(flight.t))
+        flight.values["p"] += 0.02 * rng.standard_normal(len(flight.t))
     problem = _Reconstruction(flights, ("phi",))
     reach = np.array([1.0, 0.1, *np.full(PLACED + 3, 1.0)])
     x, own, blocks, corrected, _ = _solved(problem, reach)
@@ -143,6 +143,4 @@ def test_where_the_steps_end_no_step_is_left_with_the_noise_drawn_there_anew():
     pretended = problem.pretended(x, own, plain)
     left = Corrected(plain + prior, pretended).step()
     errors = np.sqrt(np.diag(corrected.covariance(np.zeros((1, len(x))), reach)))
-    scale, skew = np.abs(left[:2]) / errors[:2]
-    assert scale < 0.01
-    assert skew < 0.02  # what noise adds is held when channels move in time: chance is left
+    assert np.all(np.abs(left[:2]) < 0.01 * errors[:2])
