@@ -39,7 +39,7 @@ from casid.consistency.innovations import growing, innovations, integral, steady
 from casid.consistency.instruments import CLOCKS, OWN, Instruments
 from casid.consistency.measured import Flight, noisier, white_noise
 from casid.consistency.rigid import TURNED, WHOLE, Sides, Terms, terms_of
-from casid.consistency.saturation import ratio_errors
+from casid.consistency.saturation import HELD, LONGEST, Block, ratio_errors
 
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
@@ -51,13 +51,10 @@ PLACED = len(CLOCKS)  # of the unknowns of no channel those before the accelerom
 GROUPS = (RATES, FORCES)
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
-HELD = 1e-6  # s: the same of attitudes that share one clock
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
 TILT = 0.2  # tangent of a pitch attitude that is not known, its mean and what moves about it
 SLOW, KNOTS = 2.0, 60  # s from one value of it to the next, and the most of them in a record
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
-
-Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unknowns (1 + own, N)
 
 
 def reconstruct(
@@ -87,7 +84,7 @@ def reconstruct(
     loose = Corrected(plain + Normal(np.diag(free**-2.0), np.zeros(len(free))), plain * 0.0)
     P = corrected.covariance(scores, reach) + np.diag(step**2)
     clock, size = 2 * n, np.sqrt(np.diag(P))
-    wider = ratio_errors(problem, x, own, reach, size, range(1, clock, 2))
+    wider = ratio_errors(problem, parts, x, own, reach, size, range(1, clock, 2))
     pulled = P / size**2 * np.sqrt(wider**2 - size**2)  # what a delay takes with it
     P = P + pulled @ pulled.T
     errors = np.sqrt(np.diag(P))
@@ -145,7 +142,7 @@ def _solved(
             pretended = problem.pretended(x, own, plain)
             corrected = Corrected(seen, pretended)
             step = corrected.step()
-        most = LATE / 4 * (iteration >= REGAIN[0])  # an integral's walk would pass for a skew
+        most = LONGEST * (iteration >= REGAIN[0])  # an integral's walk would pass for a skew
         step[skews] = np.clip(step[skews], -most, most).clip(-LATE - x[skews], LATE - x[skews])
         x, own = x + step, own + [one.step(step) for one in flown]
         still = step.copy()

@@ -24,10 +24,10 @@ from casid.consistency.voting import SKEW
 
 TOLD = 3.0  # standard errors from which on a skew is looked at
 ROUNDS = 3  # steps of all else
-HELD = 1e-6  # s
+HELD = 1e-6  # s: the prior's deviation of a skew that stays
 LONGEST = 0.125  # s: the largest step of a skew
 
-Block = tuple[str, int, Array]  # as of `flightpath`
+Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unknowns (1 + own, N)
 
 
 class Problem(Protocol):
@@ -45,6 +45,7 @@ class Problem(Protocol):
 
 def ratio_errors(
     problem: Problem,
+    parts: Sequence[Block],
     x: Array,
     own: Array,
     reach: Array,
@@ -53,9 +54,10 @@ def ratio_errors(
 ) -> Array:
     """Standard errors (n,) of unknowns, those of ``skews`` no less than likelihood ratios ask for.
 
-    ``x`` (n,) and ``own`` (records, m) are the estimates, ``reach`` (n,) the deviations of priors.
+    ``x`` (n,) and ``own`` (records, m) are the estimates, ``parts`` the innovations there, and
+    ``reach`` (n,) the deviations of priors.
     """
-    found, asis = errors.copy(), _size(problem.whitened(problem.blocks(x, own)))
+    found, asis = errors.copy(), _size(parts)
     for i in skews:
         if abs(x[i]) > max(SKEW, TOLD * errors[i]):
             ratio = max(_least(problem, x, own, reach, i, skews) - asis, 0.0)

@@ -36,7 +36,8 @@ def errors(frequency, late, size=1.0, prior=10.0):
     (plain,) = problem.normal(problem.blocks(np.array([late, 2.0]), own), own)[1]
     curved = np.sqrt(np.diag(np.linalg.inv(plain.shared.information)))
     x = np.array([late, 2.0])
-    found = ratio_errors(problem, x, own, np.array([prior, 10.0]), curved, [0])
+    parts = problem.whitened(problem.blocks(x, own))
+    found = ratio_errors(problem, parts, x, own, np.array([prior, 10.0]), curved, [0])
     assert found[1] == curved[1]  # a level is no delay
     return curved[0], found[0]
 
