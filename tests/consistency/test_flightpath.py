@@ -146,3 +146,21 @@ def test_where_the_steps_end_no_step_is_left_with_the_noise_drawn_there_anew(noi
     left = Corrected(plain + prior, pretended).step()
     errors = np.sqrt(np.diag(corrected.covariance(np.zeros((1, len(x))), reach)))
     assert np.all(np.abs(left[:told]) < 0.01 * errors[:told])
+
+
+def test_a_skew_whose_error_is_made_wider_takes_along_what_depends_on_it(monkeypatch):
+    flights = rolls(np.random.default_rng(3), (900, 1500), 0.01)
+    errors = {}
+    for times in (1.0, 3.0, 5.0):
+
+        def wider(*given, times=times):
+            found, skews = given[-2:]
+            return found * np.where(np.isin(np.arange(len(found)), skews), times, 1.0)
+
+        monkeypatch.setattr("casid.consistency.flightpath.ratio_errors", wider)
+        errors[times] = reconstruct(flights, ["phi"]).errors[0]
+    (gain, skew), (gain_3, skew_3), (gain_5, skew_5) = errors.values()
+    assert (skew_3, skew_5) == pytest.approx((3 * skew, 5 * skew))
+    # var(gain): that given the skew, which stays, and what the skew explains, as its own.
+    assert gain_3 > gain
+    assert (gain_5**2 - gain**2) / (gain_3**2 - gain**2) == pytest.approx((25 - 1) / (9 - 1))
