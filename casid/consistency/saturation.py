@@ -78,7 +78,6 @@ def _least(
         plain, flown = problem.normal(parts, own)
         step = Corrected(plain + prior.after(now - start), plain * 0.0).step()
         step[[*skews]] = np.clip(step[[*skews]], -LONGEST, LONGEST)
-        step[i] = 0.0
         now, own = now + step, own + [one.step(step) for one in flown]
     return least
 
