@@ -11,7 +11,8 @@ from casid.channels import MEASURES, SI, factor_of, in_si, misnamed, own_units, 
     [("deg", np.pi / 180), ("dps", np.pi / 180), ("kt", 1852 / 3600), ("km/h", 1000 / 3600),
      ("ft/s", 0.3048), ("in", 0.3048 / 12), ("g", 9.80665), ("%", 0.01), ("ms", 1e-3),
      ("pwm", 1 / 1000), ("deg/s^2", np.pi / 180), ("rpm", 2 * np.pi / 60), ("mg", 9.80665e-3),
-     ("mph", 1609.344 / 3600), ("ft/min", 0.3048 / 60), ("mm", 1e-3), ("km", 1e3)],
+     ("mph", 1609.344 / 3600), ("ft/min", 0.3048 / 60), ("mm", 1e-3), ("km", 1e3),
+     ("cm", 1e-2), ("cm/s", 1e-2), ("mm/s", 1e-3), ("mrad", 1e-3), ("mrad/s", 1e-3)],
 )  # fmt: skip
 def test_one_of_each_unit_is_what_its_definition_says(unit, in_si):
     assert factor_of("p", unit) == pytest.approx(in_si, rel=1e-15)

@@ -315,6 +315,15 @@ def test_a_mistake_in_signs_or_units_is_named(mistake, noisy):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("name", "feet"), [("ax", True), ("r", False)])
+def test_only_what_has_a_length_is_said_to_be_in_feet(name, feet):
+    record = times(flight(1, None, NOISE, WHOLE), name, 1 / 0.3048)
+    said = [each for each in kinematic_check([record]).remarks if each.startswith(f"{name} is 3.")]
+    assert len(said) == 1
+    assert ("feet" in said[0]) == feet
+
+
+@pytest.mark.slow
 def test_an_equation_that_lacks_a_channel_says_less():
     # The yaw rate turns bank too, by tan(theta) of it: some per cent.
     error = {"p": (0.08, 0.0, 0.0)}
