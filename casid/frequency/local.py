@@ -16,7 +16,8 @@ References from outside a loop are the inputs of the local models, inputs and ou
 which share the loop's poles: `casid.frequency.referring`.
 
 Departure: what models of finite width miss (bias) is estimated too, from the differences to those
-of a degree more, and stated beside the random error.
+of a degree more, of B and of I_r, and stated beside the random error. Of I_r, since near its lowest
+frequencies the transform of a linear sweep is as smooth as a transient: little tells them apart.
 """
 
 from collections.abc import Sequence
@@ -42,8 +43,11 @@ RANK = 1e-9  # relative to the largest singular value; less is no direction of t
 NEAREST = 0.05  # abs(A), one at the centre, may fall to within a model
 SHARE = 0.3  # half width, of the frequency
 SPACINGS, EQUATIONS = 5.0, 9.0  # half width in distances of lines, equations per input: at least
-QUADRATIC, CUBIC = 3, 4  # powers of x in numerators of pairs
-SURE = 2.0  # of the noise of a difference that is no bias
+QUADRATIC, CUBIC = (3, EDGES), (4, EDGES)  # powers of x in numerators of pairs, of transients
+LONGER = (3, EDGES + 1)
+# Beside which differences are no bias, as multiples of their noise: of transients that are hardly
+# told from the response twice its mean would hide many random errors.
+SURE = {CUBIC: 2.0, LONGER: 1.0}
 LENGTH = 0.25  # of the most power near a frequency: records of less do not widen models for it
 SEEN = 0.2  # random error of a response that is there, and no noise
 KERNEL = 0.33  # correlation of two local estimates, as a spectral window's width over a half width
@@ -82,15 +86,12 @@ def local_response(
     lines = lines_at(records, omega, references)
     if not all(lines):
         return None
-    G, error, half, back, outputs, inputs = _at_all(lines, omega, QUADRATIC, noise)
-    other, more, *_, correlated, powers = _at_all(lines, omega, CUBIC)
-    if references:
-        G, error, outputs, inputs = of_inputs(G, error, outputs, inputs, references)
-        other, more, *_ = of_inputs(other, more, correlated, powers, references)
-        back = np.zeros_like(G)  # averaged spectra tell what noise does in references
-    squared = _beyond_noise(G, error, other, more)
+    G, error, half, back, outputs, inputs = _at_all(lines, omega, QUADRATIC, references, noise)
+    squared = np.zeros(G.shape)
+    for powers, sure in SURE.items():
+        other, more, *_ = _at_all(lines, omega, powers, references)
+        squared = np.maximum(squared, _beyond_noise(G, error, other, more, sure))
     between = _between_samples(records, omega, G, error, references, end)
-    squared = np.maximum(squared, 0.0)
     # As a share of response and difference together: a logarithm's error has limits.
     bias = np.sqrt(squared / (1 + squared) + between**2)
     width = np.broadcast_to(KERNEL * half[:, None, None], G.shape)
@@ -124,9 +125,7 @@ def _between_samples(
     high = np.array([min(np.pi / 2 / held, end)])
     stretches, found = lines_at(records, high, references), []
     for powers in (QUADRATIC, CUBIC):
-        beyond, error, *_, outputs, inputs = _at_all(stretches, high, powers)
-        if references:
-            beyond, error, *_ = of_inputs(beyond, error, outputs, inputs, references)
+        beyond, error, *_ = _at_all(stretches, high, powers, references)
         found.append((np.abs(beyond), error))
     (beyond, error), (other, _) = found
     upto, seen = (each[omega <= end][::-1] for each in (G, random < SEEN))
@@ -138,13 +137,15 @@ def _between_samples(
     return np.hypot(between, held * omega[:, None, None] / 2 * direct)
 
 
-def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Array) -> Array:
-    """Squared relative differences of two estimates, less what noise alone makes of them.
+def _beyond_noise(
+    G: ComplexArray, error: Array, other: ComplexArray, more: Array, sure: float
+) -> Array:
+    """Squared relative differences of two estimates, less ``sure`` times what noise makes of them.
 
     Mean of three neighbouring frequencies; the estimate G is the more efficient one.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        random = SURE * 2 * np.maximum(more**2 - error**2, 0.0)
+        random = sure * 2 * np.maximum(more**2 - error**2, 0.0)
         squared = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2 - random, posinf=0.0)
     return over_three(squared)
 
@@ -152,10 +153,14 @@ def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Arra
 def _at_all(
     lines: Sequence[Sequence[Lines]],
     omega: Array,
-    powers: int,
+    powers: tuple[int, int],
+    references: int = 0,
     noise: NoiseInInputs | None = None,
 ) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray, ComplexArray]:
-    """Responses, random errors, half widths, fed-back bias, correlations of outputs and inputs."""
+    """Responses, random errors, half widths, fed-back bias, correlations of outputs and inputs.
+
+    To inputs, of records with references, by way of the responses to these.
+    """
     K, nu, ny = len(omega), *(len(each.T) for each in (lines[0][0].U, lines[0][0].Y))
     G, error = np.full((K, ny, nu), np.nan, complex), np.full((K, ny, nu), np.nan)
     back, left = np.zeros((K, ny, nu), complex), np.zeros((K, ny))
@@ -177,6 +182,9 @@ def _at_all(
         inputs[k] = correlation(P)
     if noise is not None:
         back *= noise.share(left)[:, :, None]
+    if references:
+        G, error, outputs, inputs = of_inputs(G, error, outputs, inputs, references)
+        back = np.zeros_like(G)  # averaged spectra tell what noise does in references
     return G, error, half, back, outputs, inputs
 
 
@@ -217,21 +225,21 @@ class _LocalModel:
     U: ComplexArray  # (m, nu)
     Y: ComplexArray  # (m, ny)
     own: BoolArray  # (m, records) whose line each is
-    powers: int  # of x in numerators of pairs
+    powers: tuple[int, int]  # of x in numerators of pairs, of transients
     freedom: float  # of the residuals of one output
 
     @classmethod
     def of(
-        cls, lines: Sequence[Lines], centre: float, half: float, powers: int
+        cls, lines: Sequence[Lines], centre: float, half: float, powers: tuple[int, int]
     ) -> "_LocalModel | None":
         """The lines of all records that have more than their own transient takes."""
-        near = [(each, _near(each, centre, half)) for each in lines]
-        used = [(each, at) for each, at in near if at.sum() > EDGES]
+        near, (of_pairs, edges) = [(each, _near(each, centre, half)) for each in lines], powers
+        used = [(each, at) for each, at in near if at.sum() > edges]
         if not used:
             return None
         U = np.vstack([each.U[at] for each, at in used])
         Y = np.vstack([each.Y[at] for each, at in used])
-        unknown = powers * U.shape[1] + EDGES * len(used) + POLES / Y.shape[1]
+        unknown = of_pairs * U.shape[1] + edges * len(used) + POLES / Y.shape[1]
         freedom = len(U) - unknown
         x = np.concatenate([(each.omega[at] - centre) / half for each, at in used])
         own = np.repeat(np.eye(len(used), dtype=bool), [at.sum() for _, at in used], axis=0)
@@ -244,14 +252,14 @@ class _LocalModel:
 
     @cached_property
     def edges(self) -> Array:
-        """Those of each record's transient, (m, records EDGES)."""
-        powers = np.vander(self.x, EDGES, increasing=True)
+        """Those of each record's transient, (m, records powers)."""
+        powers = np.vander(self.x, self.powers[1], increasing=True)
         return np.asarray(powers[:, None] * self.own[:, :, None]).reshape(len(self.x), -1)
 
     @cached_property
     def pairs(self) -> ComplexArray:
         """Those of each input's numerators, times the input, (m, powers nu)."""
-        powers = np.vander(self.x, self.powers, increasing=True)
+        powers = np.vander(self.x, self.powers[0], increasing=True)
         return np.asarray(powers[:, :, None] * self.U[:, None, :]).reshape(len(self.x), -1)
 
     def solved(self) -> "_LocalFit | None":
@@ -281,7 +289,7 @@ class _LocalFit:
     model: _LocalModel
     a: ComplexArray  # (POLES,)
     A: ComplexArray  # (m,) values of the denominator
-    edges: ComplexArray  # (m, EDGES records) orthonormal basis of transients
+    edges: ComplexArray  # (m, powers records) orthonormal basis of transients
     Q: ComplexArray  # (m, powers nu) orthonormal basis of the inputs, transients removed
     inverse: ComplexArray  # (powers nu, powers nu) of the triangular factor
     theta: ComplexArray  # (powers nu, ny) numerators
@@ -351,7 +359,7 @@ class _LocalFit:
 
     def fed_back(self, noise: ComplexArray) -> ComplexArray:
         """Bias (ny, nu) of the response where inputs carry noise (ny, nu) of the outputs."""
-        powers = np.vander(self.model.x, self.model.powers, increasing=True) / self.A[:, None]
+        powers = np.vander(self.model.x, self.model.powers[0], increasing=True) / self.A[:, None]
         count = powers.sum(axis=0).conj() * (1 - self.edges.shape[1] / len(self.A))
         products = np.kron(count[:, None], noise.T)  # mean of the inputs' rows times noise
         return np.asarray(self.inverse[: len(noise.T)] @ self.inverse.conj().T @ products).T
