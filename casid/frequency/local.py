@@ -45,9 +45,8 @@ SHARE = 0.3  # half width, of the frequency
 SPACINGS, EQUATIONS = 5.0, 9.0  # half width in distances of lines, equations per input: at least
 QUADRATIC, CUBIC = (3, EDGES), (4, EDGES)  # powers of x in numerators of pairs, of transients
 LONGER = (3, EDGES + 1)
-# Beside which differences are no bias, as multiples of their noise: of transients that are hardly
-# told from the response twice its mean would hide many random errors.
-SURE = {CUBIC: 2.0, LONGER: 1.0}
+SURE = 2.0  # of the noise of a difference that is no bias
+HIDDEN = 0.3  # of a difference's noise, that a bias may have behind it
 LENGTH = 0.25  # of the most power near a frequency: records of less do not widen models for it
 SEEN = 0.2  # random error of a response that is there, and no noise
 KERNEL = 0.33  # correlation of two local estimates, as a spectral window's width over a half width
@@ -88,9 +87,9 @@ def local_response(
         return None
     G, error, half, back, outputs, inputs = _at_all(lines, omega, QUADRATIC, references, noise)
     squared = np.zeros(G.shape)
-    for powers, sure in SURE.items():
+    for powers in (CUBIC, LONGER):
         other, more, *_ = _at_all(lines, omega, powers, references)
-        squared = np.maximum(squared, _beyond_noise(G, error, other, more, sure))
+        squared = np.maximum(squared, _bias(G, error, other, more))
     between = _between_samples(records, omega, G, error, references, end)
     # As a share of response and difference together: a logarithm's error has limits.
     bias = np.sqrt(squared / (1 + squared) + between**2)
@@ -137,17 +136,18 @@ def _between_samples(
     return np.hypot(between, held * omega[:, None, None] / 2 * direct)
 
 
-def _beyond_noise(
-    G: ComplexArray, error: Array, other: ComplexArray, more: Array, sure: float
-) -> Array:
-    """Squared relative differences of two estimates, less ``sure`` times what noise makes of them.
+def _bias(G: ComplexArray, error: Array, other: ComplexArray, more: Array) -> Array:
+    """Squared relative bias by the difference of two estimates, of which G is the more efficient.
 
-    Mean of three neighbouring frequencies; the estimate G is the more efficient one.
+    Beyond what noise alone makes of it, and no less than that hides: where little tells transients
+    from the response their noise is many times that of the estimate. Mean of three neighbouring
+    frequencies.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        random = sure * 2 * np.maximum(more**2 - error**2, 0.0)
-        squared = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2 - random, posinf=0.0)
-    return over_three(squared)
+        noise = np.nan_to_num(np.maximum(more**2 - error**2, 0.0), posinf=0.0)  # of gain or phase
+        apart = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2, posinf=0.0)
+    seen = over_three(apart - SURE * 2 * noise)
+    return np.asarray(np.maximum(seen, HIDDEN**2 * over_three(noise)))
 
 
 def _at_all(
