@@ -21,28 +21,37 @@ from casid.shooting.outlying_records import Discord
 FAR = 2.0  # errors by noise alone that an estimate moves without the record: that is told
 WIDER = 1.2  # times the errors by noise that are stated: that is told
 
+FED_BACK = (
+    "Coloured residuals that later inputs follow, which is told as well, bias each record in its "
+    "own way and set sound ones apart: do first what is said there, and suspect instruments, "
+    "amplitudes or trims if records contradict each other then"
+)
 OPPOSED = "output error: records contradict each other"  # how what is told of it begins
 
 
 def warn_of_contradiction(
-    found: Discord | None, flown: Sequence[Record], of: Sequence[str]
+    found: Discord | None, flown: Sequence[Record], of: Sequence[str], *, fed_back: bool
 ) -> None:
     """Tell of records that contradict the others, if there are any; see `tell`."""
     if found is not None:
-        tell(found, flown, of)
+        tell(found, flown, of, fed_back=fed_back)
 
 
-def tell(found: Discord, flown: Sequence[Record], of: Sequence[str]) -> None:
+def tell(
+    found: Discord, flown: Sequence[Record], of: Sequence[str], *, fed_back: bool = False
+) -> None:
     """Tell of records that contradict the others, if that moves what is estimated ``of`` them.
 
-    Or if their scatter is in the errors stated.
+    Or if their scatter is in the errors stated. Coloured residuals that are ``fed_back`` bias each
+    record by itself, so that none need be at fault.
     """
     # Of scattered records standard errors may be so large that they hide the one at fault.
     off, unit = found.off, np.where(found.noise > 0, found.noise, np.inf)
     moves = np.where(np.abs(off.apart) > APART, off.step / unit, 0.0)
     if np.abs(moves).max() > FAR or found.wider is not None:
         names = [record.name or f"record {k}" for k, record in enumerate(flown, 1)]
-        warn(_told(found, names, of, moves) + _advice(found, flown, names) + _widened(found, of))
+        advice = FED_BACK if fed_back else _advice(found, flown, names)
+        warn(_told(found, names, of, moves) + advice + _widened(found, of))
 
 
 def _told(found: Discord, names: Sequence[str], of: Sequence[str], moves: Array) -> str:

@@ -174,9 +174,9 @@ class OutputError:
             if outcome.programme.evaluator.filtering:
                 warn_of_innovations(*end)
             elif asked():
-                warn_of_followed(*end)
+                fed_back = warn_of_followed(*end)
                 flown = outcome.programme.evaluator.layout.records
-                warn_of_contradiction(discord, flown, free.names)
+                warn_of_contradiction(discord, flown, free.names, fed_back=fed_back)
         return fit
 
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:

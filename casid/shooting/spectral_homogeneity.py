@@ -52,6 +52,7 @@ from casid.shooting.spectrum import (
 from casid.shooting.uncertainty import coordinates, larger, own_step
 
 HELD = 0.01  # standard errors by which an estimate is short of where slopes balance
+ROUNDS = 3  # of sizes and shapes of noise, each by the other
 FEWEST = 1.0  # degrees of freedom of noise, that count, lest a factor be infinite
 
 
@@ -115,9 +116,8 @@ def opposed(
     taken = [leverages([each], each.F)[0] for each in residuals]
     left = leftover(lines, residuals, taken)
     plain = [replace(r, E=r.E / np.sqrt(power)) for r, power in zip(alone, powers, strict=True)]
-    sizes = np.array([_sizes(*each) for each in zip(lines, plain, left, strict=True)])
+    shapes, sizes = _levels(lines, plain, left, white=white)
     even = [replace(r, E=r.E / np.sqrt(size)) for r, size in zip(plain, sizes, strict=True)]
-    shapes = [np.ones(each.Y.shape) for each in lines] if white else _shapes(lines, even, left)
     across = coherent(lines, even, shapes, left)
     share = np.ones(sizes.shape) if there is None else there
     noise = [shape * size for shape, size in zip(shapes, sizes * share, strict=True)]
@@ -155,10 +155,28 @@ def _alone(lines: Lines, residual: OnLines, power: Array, step: Array) -> OnLine
     return replace(residual, E=residual.E - moved * np.sqrt(power))
 
 
-def _sizes(lines: Lines, residual: OnLines, left: Array) -> Array:
-    """Mean power (ny,) of a record's residuals; 1 of what it has not."""
-    power, freedom = lines.weight @ np.abs(residual.E) ** 2, left.sum(axis=0)
-    size = power / np.maximum(freedom, 1.0)
+def _levels(
+    lines: Sequence[Lines], residuals: Sequence[OnLines], left: Sequence[Array], *, white: bool
+) -> tuple[list[Array], Array]:
+    """Power of noise, shapes (K, ny) of records of one kind times sizes (ny,) of each.
+
+    Sizes are beside the shapes, in turn: records hold other bands, in which a spectrum that falls
+    has other means.
+    """
+    shapes: list[Array] = [np.ones(each.Y.shape) for each in lines]
+    sizes = np.array([_sizes(*each) for each in zip(lines, residuals, shapes, left, strict=True)])
+    for _ in range(0 if white else ROUNDS):
+        even = [replace(r, E=r.E / np.sqrt(size)) for r, size in zip(residuals, sizes, strict=True)]
+        shapes = _shapes(lines, even, left)
+        parts = zip(lines, residuals, shapes, left, strict=True)
+        sizes = np.array([_sizes(*each) for each in parts])
+    return shapes, sizes
+
+
+def _sizes(lines: Lines, residual: OnLines, shape: Array, left: Array) -> Array:
+    """Mean power (ny,) of a record's residuals beside a shape (K, ny); 1 of what it has not."""
+    power = lines.weight @ (np.abs(residual.E) ** 2 / shape)
+    size = power / np.maximum(left.sum(axis=0), 1.0)
     return np.where(size > 0, size, 1.0)
 
 

@@ -134,8 +134,11 @@ def _uneven(residuals: Sequence[Array], outputs: Sequence[str], records: Sequenc
     )
 
 
-def warn_of_followed(programme: Programme, x: Array) -> None:
-    """Tell of coloured residuals of output error that go into inputs, at scaled variables x."""
+def warn_of_followed(programme: Programme, x: Array) -> bool:
+    """Tell of coloured residuals of output error that go into inputs, at scaled variables x.
+
+    Whether there are any.
+    """
     model, records = programme.free.model, programme.evaluator.layout.records
     linear = not isinstance(model, NonlinearModel)
     direct = not linear or bool(model.system().D.any())
@@ -146,17 +149,20 @@ def warn_of_followed(programme: Programme, x: Array) -> None:
     residuals = [r * (power > ROUNDING**2 * np.mean(y**2, axis=0)) for r in whitened(programme, x)]
     coloured, followers = followed(residuals, [r.u for r in records], dt, now=now)
     if not followers.any() or repeats_told(records):  # held samples colour them, and are told
-        return
+        return False
     outputs, inputs = (
         listed([name for name, which in zip(names, found, strict=True) if which])
         for names, found in ((model.outputs, coloured), (model.inputs, followers))
     )
-    filtering = "process_noise=True (filter error)"
-    if not linear:
-        filtering += f" and {type(model).__name__}().at(trim), as a nonlinear structure has none"
+    ways = "process_noise=True (filter error)"
+    if linear:
+        ways += ' or, if it is sensors that colour them, with domain="frequency"'
+    else:
+        ways += f" and {type(model).__name__}().at(trim), as a nonlinear structure has none"
     warn(
         f"{FED} ({outputs}), and later inputs ({inputs}) follow them, as where a pilot or "
         "controller reacts to gusts. Output error assumes that inputs do not depend on earlier "
         "residuals: parameters, delays above all, are biased by more than their standard errors. "
-        f"Estimate with {filtering}, or identify the closed loop with its reference as the input"
+        f"Estimate with {ways}, or identify the closed loop with its reference as the input"
     )
+    return True

@@ -387,7 +387,7 @@ def test_what_records_do_to_each_other_under_one_bound_is_told_of_no_case():
 def test_what_records_say_is_asked_of_the_freest_case_and_told_of_all(monkeypatch):
     asked = []
 
-    def told(found, flown, names):  # noqa: ARG001 - as it is called
+    def told(found, flown, names, *, fed_back):  # noqa: ARG001 - as it is called
         asked.append(names)
         warn(f"{OPPOSED}: r0 and all others")
 

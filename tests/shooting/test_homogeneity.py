@@ -113,6 +113,18 @@ def test_where_no_few_are_to_blame_no_instrument_is():
     assert sentence([[1], [1], [1]], (2,), None, far=1.0) == ""  # that moves nothing
 
 
+def test_coloured_noise_that_is_fed_back_is_suspected_before_any_record():
+    flights = [Record(T, T[:, None], T[:, None], ["u"], ["p"], f"r{k}") for k in range(3)]
+    off = Disagreement(100.0, 1, np.array([3.0]), np.array([3.0]))
+    found = Discord((1,), False, off, np.ones(1))
+    with pytest.warns(DataWarning, match="Coloured residuals that later inputs follow") as caught:
+        tell(found, flights, ["Lp"], fed_back=True)
+    assert "Check there" not in str(caught[0].message)
+    with pytest.warns(DataWarning, match="Check there the offset") as caught:
+        tell(found, flights, ["Lp"])
+    assert "Coloured" not in str(caught[0].message)
+
+
 def test_by_how_much_errors_are_those_of_scatter_is_told_whatever_an_estimate_moves():
     flights = [Record(T, T[:, None], T[:, None], ["u"], ["p"], f"r{k}") for k in range(4)]
     off = Disagreement(100.0, 1, np.array([1.0]), np.array([1.0]))

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from casid.free import free_parameters
 from casid.shooting.homogeneity import OPPOSED
 from casid.shooting.lines import transformed
 from casid.shooting.spectral import SpectralResiduals
-from casid.shooting.spectral_homogeneity import opposed
+from casid.shooting.spectral_homogeneity import _levels, opposed
+from casid.shooting.temporal_homogeneity import Transformed
 
 T = np.arange(0, 10, 0.05)
 R = np.diag([0.03**2, 0.01**2])
@@ -86,6 +88,26 @@ def test_scores_lead_to_the_estimate_and_the_residuals_of_each_record_alone():
         weight = line.weight[:, None] / np.diag(R)
         E = SpectralResiduals(free, [line])(lam, [weight])[0].E
         assert np.abs(left.E - E).max() < 0.02 * np.abs(E).max()
+
+
+def test_of_records_that_hold_other_bands_noise_is_as_large_as_it_is_in_each():
+    """A spectrum that falls, of one size in all but the last, which has four times the power."""
+    ends, ratio = (3.0, 12.0, 3.0, 12.0, 6.0), np.zeros(5)
+    for seed in range(60):
+        rng, lines, left, own = np.random.default_rng(seed), [], [], []
+        for duration, end in zip((60, 20, 30, 50, 40), ends, strict=True):
+            omega = np.arange(2 * np.pi / duration, end, 2 * np.pi / duration)
+            power = (1 + 3 * (end == 6.0)) / (1 + omega**2)[:, None]
+            E = np.sqrt(power / 2) * (rng.standard_normal((2, *power.shape)).T @ [1, 1j]).T
+            weight, nothing = np.full(len(omega), 2.0), np.zeros((1, 1))
+            each = SimpleNamespace(omega=omega, weight=weight, kind=0, Y=E, seen=[True])
+            lines.append(each)
+            left.append(np.full(E.shape, 2.0))
+            own.append((Transformed(E, nothing, nothing, nothing, nothing), power))
+        shapes, sizes = _levels(lines, [r for r, _ in own], left, white=False)
+        found = zip(shapes, sizes, own, strict=True)
+        ratio += [np.median(shape * size / power) / 60 for shape, size, (_, power) in found]
+    np.testing.assert_allclose(ratio, 1, atol=0.1)
 
 
 @pytest.mark.second

@@ -239,7 +239,9 @@ FOLLOWED = r"residuals are correlated in time \(p, phi\), and later inputs \(lat
 @pytest.mark.campaign
 def test_gusts_that_are_fed_back_are_told_and_a_filter_is_the_remedy():
     records = [rolled(seed, 0.02, [0.1, 0.3]) for seed in range(1, 5)]
-    with pytest.warns(DataWarning, match=FOLLOWED + r".*process_noise=True \(filter error\), or"):
+    with pytest.warns(
+        DataWarning, match=FOLLOWED + r".*process_noise=True \(filter error\) or, if"
+    ):
         biased = output_error(Roll(), records)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
