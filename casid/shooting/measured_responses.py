@@ -24,7 +24,7 @@ from casid.arrays import Array, ComplexArray
 from casid.display import listed
 from casid.errors import warn
 from casid.evaluation import MatrixFunction
-from casid.fingerprints import same_flight
+from casid.fingerprints import same_flight, same_prints
 from casid.fit import AnyFit, Fit
 from casid.free import Free
 from casid.frequency.covariance import steadied, whitener
@@ -241,14 +241,14 @@ def check_responses(
     model: Model, responses: Sequence[FrequencyResponse], records: Sequence[Record]
 ) -> None:
     """ValueError for a response of other channels, or of a record that counts already."""
-    seen: dict[str, str] = {}
+    seen: list[tuple[str, tuple[str, ...]]] = []
     for response in responses:
         if not ({*response.outputs} & {*model.outputs} and {*response.inputs} & {*model.inputs}):
             raise ValueError(
                 f"responses: no pair of {', '.join(response.outputs)} and "
                 f"{', '.join(response.inputs)} is one of {type(model).__name__}'s"
             )
-        own: dict[str, str] = {}
+        own = []
         for name, prints, inputs, outputs in response.flights():
             for record in records:
                 if same_flight(prints, inputs, outputs, record):
@@ -256,13 +256,13 @@ def check_responses(
                         f"record {record.name!r} enters as a time history and, as {name!r}, in a "
                         "response: no datum counts twice; leave it out of one of them"
                     )
-            if other := next((seen[each] for each in prints if each in seen), None):
+            if other := next((known for known, its in seen if same_prints(prints, its)), None):
                 raise ValueError(
                     f"records {other!r} and {name!r} of two responses are one flight, which would "
                     "count twice; leave it out of one of them"
                 )
-            own |= dict.fromkeys(prints, name)
-        seen |= own
+            own.append((name, prints))
+        seen += own
     same = (same_numbers(*two) for two in combinations(responses, 2))
     if said := next(filter(None, same), ""):
         raise ValueError(f"two responses {said}: no datum counts twice; leave one out")

@@ -99,6 +99,10 @@ def test_the_same_record_is_refused_in_both_forms(tmp_path):
     for each in (response, merged, *loaded):
         with pytest.raises(ValueError, match="enters as a time history and, as 'record 0'"):
             output_error(TRUTH, campaign(3, 1)[0].decimate(2), responses=each)
+    record = campaign(3, 1)[0]
+    level = replace(record, y=record.y - record.y.mean(axis=0)).cut(1.0, record.t[-1])
+    with pytest.raises(ValueError, match="enters as a time history and, as 'record 0'"):
+        output_error(TRUTH, level, responses=response)
     for twice in ([response, response], [response, merged]):
         with pytest.raises(ValueError, match="two responses are one flight"):
             output_error(TRUTH, RECORDS, responses=twice)
