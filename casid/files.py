@@ -16,8 +16,7 @@ from casid.channels import factor_of, misnamed, own_units
 from casid.errors import warn
 from casid.limits import TABLE_BYTES, check_file
 from casid.matlab import read_variables
-from casid.record import FEWEST, Hold, Record
-from casid.samples import known_inputs
+from casid.record import Hold, Record
 from casid.textfile import write_text
 
 SHOWN = 40  # names of columns that a message lists
@@ -187,29 +186,8 @@ def build(
     y = np.column_stack([table[each] for each in outputs])
     u = np.column_stack([table[each] for each in inputs]) if inputs else np.zeros((len(y), 0))
     t = table[time] if isinstance(time, str) else time * np.arange(len(y))
-    t, u, y = _complete(name, t, u, y, tuple(inputs), hold)
     own = own_units(units or {}, (*inputs, *outputs))
     return Record(t, u, y, tuple(inputs), tuple(outputs), name, hold, units=own)
-
-
-def _complete(
-    record: str, t: Array, u: Array, y: Array, inputs: tuple[str, ...], hold: Hold
-) -> tuple[Array, Array, Array]:
-    """Samples at which all inputs are known, those of slower inputs filled in as they are held."""
-    lost = np.isnan(u).mean(axis=0)
-    if not lost.any() or len(t) < FEWEST or not (np.diff(t) >= 0).all():
-        return t, u, y
-    u, known = known_inputs(t, u, [hold] * u.shape[1])
-    if known.sum() < FEWEST:
-        worst = inputs[int(np.argmax(lost))]
-        raise ValueError(
-            f"record {record!r}: input {worst!r} is missing nearly everywhere; leave it out, or "
-            "join it from where it was recorded (Record.join)"
-        )
-    shares = ", ".join(f"{n} {share:.1%}" for n, share in zip(inputs, lost, strict=True) if share)
-    left = f"; {len(t) - known.sum()} samples without inputs are left out" * bool(~known.all())
-    warn(f"record {record!r}: inputs lack samples ({shares}), read by their hold, {hold}{left}")
-    return t[known], u[known], y[known]
 
 
 def write_csv(path: str | Path, record: Record) -> None:

@@ -17,7 +17,7 @@ from casid.interpolation_error import warn_of_corners, with_rest_told, with_step
 
 Hold = Literal["foh", "zoh"]
 
-FEWEST = 16  # samples of a stretch between gaps
+FEWEST = samples.STRETCH
 MOST = 10_000_000  # samples that a record is resampled to
 REST = 0.5  # s of quiet that a trim should rest on
 
@@ -33,7 +33,7 @@ class Record(Shown):
         Instants [s], increasing, not necessarily equidistant. Of samples closer together than 5 %
         of the usual interval, or at one instant, the first is kept, with a `DataWarning`.
     u : (N, nu) array
-        Inputs, finite.
+        Inputs; NaN or a mask where missing: read by ``hold``, long losses left out, with a warning.
     y : (N, ny) array
         Outputs; NaN, or an array's mask, marks a missing sample. Angles that jump by whole turns,
         as a heading does beyond ±180 degrees, are made continuous, with a `DataWarning`.
@@ -51,7 +51,7 @@ class Record(Shown):
     Raises
     ------
     ValueError
-        Shapes that disagree, time that does not increase, NaN in an input.
+        Shapes that disagree, time that does not increase, an input that is hardly known.
     """
 
     t: Array
@@ -82,8 +82,8 @@ class Record(Shown):
         object.__setattr__(self, "outputs", tuple(self.outputs))
         if self.hold not in get_args(Hold):
             raise ValueError(f'record {self.name!r}: hold={self.hold!r}, expected "foh" or "zoh"')
-        samples.check_samples(self.name, self.t, self.u, self.y, (self.inputs, self.outputs))
-        tidy = samples.tidied(self.name, self.t, self.u, self.y, self.outputs)
+        names = self.inputs, self.outputs
+        tidy = samples.checked(self.name, self.t, self.u, self.y, names, self.hold)
         for attribute, values in zip("tuy", tidy, strict=True):
             values.setflags(write=False)
             object.__setattr__(self, attribute, values)

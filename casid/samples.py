@@ -21,6 +21,7 @@ FADED = 4.0  # deviations of its noise at rest from which on an input that fades
 FAINT = 0.001  # share of an input's range that a rest which is not exact may wander
 ROUNDING = 1e-9  # of an input's largest value: a smaller change is none
 FEWEST = 50  # samples that show noise
+STRETCH = 16  # samples of a stretch between gaps
 BEGUN = 100  # first samples, at rest where there is any
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
@@ -229,6 +230,19 @@ def real(record: str, letter: str, values: Any) -> Array:  # noqa: ANN401 - what
     return np.array(np.ma.filled(array.astype(float), np.nan))
 
 
+def checked(
+    record: str,
+    t: Array,
+    u: Array,
+    y: Array,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    hold: Literal["foh", "zoh"],
+) -> tuple[Array, Array, Array]:
+    """A record's time, inputs and outputs as they count: `check_samples`, `completed`, `tidied`."""
+    check_samples(record, t, u, y, names)
+    return tidied(record, *completed(record, t, u, y, names[0], hold), names[1])
+
+
 def check_samples(
     record: str, t: Array, u: Array, y: Array, names: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> None:
@@ -264,6 +278,35 @@ def known_inputs(t: Array, u: Array, held: Sequence[Between]) -> tuple[Array, Bo
     ]
     u = np.column_stack(columns)
     return u, np.asarray(~np.isnan(u).any(axis=1))
+
+
+def completed(
+    record: str, t: Array, u: Array, y: Array, inputs: Sequence[str], hold: Literal["foh", "zoh"]
+) -> tuple[Array, Array, Array]:
+    """Samples at which all inputs are known, those of slower inputs filled in as they are held.
+
+    A `DataWarning` says so. ValueError: an input that is hardly known.
+    """
+    lost = np.isnan(u).mean(axis=0)
+    if not lost.any():
+        return t, u, y
+    worst = inputs[int(np.argmax(lost))]
+    if len(t) < STRETCH:
+        k = int(np.isnan(u[:, inputs.index(worst)]).argmax())
+        raise ValueError(
+            f"record {record!r}: input {worst!r} is nan at sample {k}, and {len(t)} samples are "
+            f"too few to tell what it did there, expected {STRETCH} or more; leave them out"
+        )
+    u, known = known_inputs(t, u, [hold] * u.shape[1])
+    if known.sum() < STRETCH:
+        raise ValueError(
+            f"record {record!r}: input {worst!r} is missing nearly everywhere; leave it out, or "
+            "join it from where it was recorded (Record.join)"
+        )
+    shares = ", ".join(f"{n} {share:.1%}" for n, share in zip(inputs, lost, strict=True) if share)
+    left = f"; {len(t) - known.sum()} samples without inputs are left out" * bool(~known.all())
+    warn(f"record {record!r}: inputs lack samples ({shares}), read by their hold, {hold}{left}")
+    return t[known], u[known], y[known]
 
 
 def tidied(
@@ -321,17 +364,9 @@ def merged(t: Array, u: Array, y: Array, close: BoolArray) -> tuple[Array, Array
 def _check_values(
     record: str, u: Array, y: Array, names: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> None:
-    bad = np.argwhere(~np.isfinite(u))
-    if len(bad):
-        k, i = bad[0]
-        raise ValueError(
-            f"record {record!r}: input {names[0][i]!r} is {u[k, i]} at sample {k} "
-            "(inputs must be known everywhere); cut the record there or repair the channel"
-        )
-    infinite = np.argwhere(np.isinf(y))
-    if len(infinite):
-        k, i = infinite[0]
-        raise ValueError(
-            f"record {record!r}: output {names[1][i]!r} is {y[k, i]} at sample "
-            f"{k}; mark a missing sample with NaN"
-        )
+    for kind, own, values in zip(("input", "output"), names, (u, y), strict=True):
+        for k, i in np.argwhere(np.isinf(values))[:1]:
+            raise ValueError(
+                f"record {record!r}: {kind} {own[i]!r} is {values[k, i]} at sample {k}; mark a "
+                "missing sample with NaN"
+            )

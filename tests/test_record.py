@@ -13,6 +13,7 @@ from casid import (
     Record,
     frequency_response,
     kinematic_check,
+    read_csv,
 )
 from casid.records import stretches
 
@@ -56,12 +57,44 @@ def test_missing_outputs_are_allowed():
             r"time does not increase at sample 2 \(0.1 s, then 0.1 s\); sort",
         ),
         ({"u": np.full((5, 2), np.nan)}, "input 'lat' is nan at sample 0"),
+        ({"u": np.full((5, 2), -np.inf)}, "input 'lat' is -inf at sample 0; mark .* with NaN"),
         ({"y": np.full((5, 3), np.inf)}, "output 'p' is inf at sample 0; mark .* with NaN"),
     ],
 )
 def test_what_is_no_record_is_refused_with_its_name(changes, message):
     with pytest.raises(ValueError, match=message):
         record(**changes)
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_inputs_that_lack_samples_are_read_by_their_hold_as_from_a_file(tmp_path, hold):
+    t = 0.02 * np.arange(60)
+    slow, gone = 2 * t, -t
+    slow[np.arange(60) % 2 > 0] = np.nan
+    gone[20:26] = np.nan
+    u, y = np.column_stack([slow, gone]), np.cos(t)[:, None]
+    names = {"inputs": ("lat", "ped"), "outputs": ("p",), "hold": hold}
+    said = r"inputs lack samples \(lat 50.0%, ped 10.0%\).*; 7 samples without inputs are left out"
+    with pytest.warns(DataWarning, match=said):
+        found = Record(t, u, y, name="n", **names)
+    rows = np.delete(np.arange(60), [*range(20, 26), 59])
+    np.testing.assert_array_equal(found.t, t[rows])
+    np.testing.assert_array_equal(found.y, y[rows])
+    known = 2 * t if hold == "foh" else 2 * t[np.arange(60) // 2 * 2]
+    np.testing.assert_allclose(found.u, np.column_stack([known, -t])[rows], atol=1e-12)
+    table = np.column_stack([t, u, y])
+    np.savetxt(tmp_path / "n.csv", table, delimiter=",", header="t,lat,ped,p", comments="")
+    with pytest.warns(DataWarning, match=said):
+        read = read_csv(tmp_path / "n.csv", **names)
+    np.testing.assert_allclose(read.u, found.u, atol=1e-12)
+    np.testing.assert_array_equal(read.t, found.t)
+
+
+def test_an_input_that_is_hardly_known_is_refused():
+    t, y = 0.02 * np.arange(40), np.zeros((40, 1))
+    u = np.where(np.arange(40) < 30, np.nan, 0.0)[:, None]
+    with pytest.raises(ValueError, match=r"'lat' is missing nearly everywhere; .*Record\.join"):
+        Record(t, u, y, ("lat",), ("p",), "n")
 
 
 def test_channels_are_found_and_chosen_by_name():
@@ -400,8 +433,9 @@ def test_what_is_masked_is_missing_and_no_dates_or_complex_numbers_are_taken():
     record = Record(t, x, masked, ("lat",), ("p",), "m")
     np.testing.assert_array_equal(np.isnan(record.y), x > 0.9)
     np.testing.assert_array_equal(record.y[x <= 0.9], x[x <= 0.9])
-    with pytest.raises(ValueError, match="input 'lat' is nan at sample"):
-        Record(t, masked, x, ("lat",), ("p",), "m")
+    with pytest.warns(DataWarning, match="record 'm': inputs lack samples"):
+        known = Record(t, masked, x, ("lat",), ("p",), "m")
+    assert np.isfinite(known.u).all()
     with pytest.raises(ValueError, match="y holds complex numbers"):
         Record(t, x, x + 0j, ("lat",), ("p",), "m")
     for clock in ((1e9 * t).astype("m8[ns]"), (1e9 * t).astype("M8[ns]")):

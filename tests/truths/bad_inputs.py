@@ -196,7 +196,12 @@ bad("1e300", cell(99, 2, "1e300"), "channel 'p' reaches 1e+300", "mark missing s
 bad("1e30", cell(99, 2, "1e30"), "channel 'p' reaches 1e+30 at sample 98", "mark missing samples")
 bad("a number beyond doubles", cell(99, 2, "1e999"), "output 'p' is inf", "NaN")
 bad("denormal numbers", column(2, "5e-324"), "channel 'p'", "leave the channel out")
-bad("infinity in an input", cell(99, 1, "inf"), "input 'lat' is inf at sample 98", "repair")
+bad(
+    "infinity in an input",
+    cell(99, 1, "inf"),
+    "input 'lat' is inf at sample 98",
+    "mark a missing sample with NaN",
+)
 bad("an input without samples", column(1, "nan", ALL), "input 'lat' is missing nearly everywhere", "Record.join")  # noqa: E501  # fmt: skip
 bad("time in ms", column(0, scaled(1000), ALL), "time column 't'", 't = "ms"')
 bad("time that stands", column(0, "3.88"), "does not increase at sample 1", "drop repeated")
