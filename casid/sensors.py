@@ -28,6 +28,7 @@ ORDER = 3  # states of one output's delay
 POLES = 60.0, 36.0, 9.0  # of the Padé approximation: (τs)³ + 9 (τs)² + 36 τs + 60
 ZEROS = 1.0, -0.4, 0.05  # of it: 1 − 2/5 τs + 1/20 (τs)²
 AXES = {name: i for names in (FORCES, VELOCITIES) for i, name in enumerate(names)}
+MOVED = "v − ω × r (a vane: that over the airspeed)"
 VANES = {"alpha": (2, "w"), "beta": (1, "v")}  # the velocity that each measures, over the airspeed
 
 
@@ -183,7 +184,11 @@ def _speed(name: str, sensor: Sensor, states: Sequence[str]) -> Scalar:
     if not set(RATES) & set(states):
         raise ModelError(
             f"the place of the sensor of {name!r} needs the rates p, q or r among the states; "
-            f"they are {', '.join(states)}"
+            f"they are {', '.join(states)}: nothing turns in this structure, though the aircraft "
+            "may, which the instrument feels away from the centre of gravity. Leave the place out "
+            "and move the channel of the records there by measured rates ω, "
+            f"{'a − ω′ × r − ω × (ω × r)' if name.startswith('a') and name in AXES else MOVED}, or "
+            "take a structure with rates"
         )
     if name not in AXES and name not in VANES:
         raise ModelError(

@@ -16,7 +16,9 @@ with damping = gamma Omega / 8 of the Lock number. Rotor speed, radius and the b
 are plain fields: they are known, and cannot be told from az.
 
 What identifies it: a collective sweep or doublets rich in 1-15 rad/s, in hover or slow flight, with
-az at the centre of gravity. Gearing, Zw, damping and the two inflow parameters are then told apart;
+az at the centre of gravity: nothing turns here, so a sensor elsewhere has no place in it
+(`models/sensors.py`); what the aircraft's turns add to it, -x q' in the first place, is to be taken
+out of the records. Gearing, Zw, damping and the two inflow parameters are then told apart;
 w measured beside az (Doppler, differentiated height) sharpens Zw.
 """
 

@@ -5,9 +5,10 @@ A mixin, to stand before the structure:
     class Boom(Accelerometers, SixDof):
         \"\"\"Six degrees of freedom, the accelerometers forward of the centre of gravity.\"\"\"
 
-Its parameters are the place [m] from the centre of gravity, forward, right, down. Where it is
-known, give it and hold it: ``fixed=("x_acc", "y_acc", "z_acc")``. V. Klein, E. A. Morelli, Aircraft
-System Identification: Theory and Practice, 2nd ed., section 3.4.
+A structure without p, q or r (`HeaveInflow`) refuses it: turns reach the instrument there, and it
+knows of none. Its parameters are the place [m] from the centre of gravity, forward, right, down.
+Where it is known, give it and hold it: ``fixed=("x_acc", "y_acc", "z_acc")``. V. Klein, E. A.
+Morelli, Aircraft System Identification: Theory and Practice, 2nd ed., section 3.4.
 
 What identifies it: velocities u, v, w among the outputs, at the centre of gravity; without them the
 equations about another point look alike, and the place is to be held or to have a prior value.

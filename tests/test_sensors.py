@@ -14,6 +14,7 @@ from casid import (
     output_error,
     parameter,
 )
+from models.heave_inflow import HeaveInflow
 from models.lateral_directional import LateralDirectional
 from models.longitudinal_aero import LongitudinalAero
 from models.minimum_complexity import MinimumComplexity
@@ -154,6 +155,30 @@ def test_a_place_that_nothing_turns_and_a_vane_without_airspeed_are_refused(
     parts |= methods if base == "Boomed" and "s" in states else {}
     with pytest.raises(ModelError, match=message):
         type("Wrong", (own,), parts)().matrices()
+
+
+def test_a_structure_that_does_not_turn_says_how_to_move_the_record_instead():
+    class Forward(Accelerometers, HeaveInflow):
+        """Heave, the accelerometer somewhere."""
+
+    said = r"'az' needs the rates .* nothing turns in this structure.* a − ω′ × r − ω × \(ω × r\)"
+    with pytest.raises(ModelError, match=said):
+        Forward().matrices()
+    # What it says: an instrument in a body that falls and turns, differentiated twice in space.
+    t, r = 1e-3 * np.arange(4000), np.array([1.5, 0.0, -0.4])
+    theta, fall = 0.2 * np.sin(2 * t), -0.3 * t**2 + 0.1 * np.sin(3 * t)
+    place = np.array([r[0] * np.cos(theta) + r[2] * np.sin(theta),
+                      fall - r[0] * np.sin(theta) + r[2] * np.cos(theta)])  # fmt: skip
+    away, centre = (
+        np.gradient(np.gradient(each, t, axis=-1), t, axis=-1)
+        for each in (place, np.array([0 * t, fall]))
+    )
+    body = np.array([np.sin(theta), np.cos(theta)])  # of z
+    felt, wanted = (body * away).sum(axis=0), (body * centre).sum(axis=0)
+    q = np.gradient(theta, t)
+    moved = felt + r[0] * np.gradient(q, t) + r[2] * q**2
+    np.testing.assert_allclose(moved[5:-5], wanted[5:-5], atol=1e-5)
+    assert np.abs(felt - wanted).max() > 0.5
 
 
 @pytest.mark.parametrize("wrong", [{"scale": "1.1"}, {"delay": -0.05}, {"x": np.nan}, {"y": None}])
