@@ -6,7 +6,8 @@ The outputs are predicted one sample ahead from their own and the inputs' last f
 
 by least squares. Lost samples are then those values that make the innovations e of all samples
 around them smallest, weighed by their covariance: what a smoother with this model gives, from both
-ends of a loss and from the other channels. Those between the samples of a slower channel are read
+ends of a loss and from the other channels; near the record's start, which nothing predicts, by an
+autoregression that runs back in time. Those between the samples of a slower channel are read
 off a cubic spline instead, which is no worse there and adds no model.
 """
 
@@ -53,12 +54,7 @@ class Autoregression:
 
 def autoregression(record: Record, y: Array, lost: BoolArray) -> Autoregression:
     """The autoregression of a record with these outputs, not fitted to the lost ones (N, ny)."""
-    p = int(np.clip(round(REACH / record.dt), *LAGS))
-    # In short records fewer, lest it adapts to single samples.
-    few, most = (
-        (record.N // rows - 1 - record.nu) // (record.nu + record.ny) for rows in PER_UNKNOWN
-    )
-    p = max(1, min(p, most, max(few, LAGS[0])))
+    p = _order(record)
     rows = p + np.arange(record.N - p)[:: -(-(record.N - p) // ROWS)]
     ny, nu = record.ny, record.nu
     columns = [y[rows - i] for i in range(1, p + 1)]
@@ -79,6 +75,16 @@ def autoregression(record: Record, y: Array, lost: BoolArray) -> Autoregression:
     A = theta[: p * ny].T.reshape(ny, p, ny).swapaxes(0, 1)
     B = theta[p * ny : -1].T.reshape(ny, p + 1, nu).swapaxes(0, 1)
     return Autoregression(A, B, theta[-1], R + np.diag(floor))
+
+
+def _order(record: Record) -> int:
+    """Number of lags p."""
+    p = int(np.clip(round(REACH / record.dt), *LAGS))
+    # In short records fewer, lest it adapts to single samples.
+    few, most = (
+        (record.N // rows - 1 - record.nu) // (record.nu + record.ny) for rows in PER_UNKNOWN
+    )
+    return max(1, min(p, most, max(few, LAGS[0])))
 
 
 def _regressed(X: Array, y: Array, seen: BoolArray, gone: Array) -> Array:
@@ -126,8 +132,7 @@ def filled(record: Record) -> tuple[Record, BoolArray]:
         known[:, i] = np.interp(k, k[rows], known[rows, i])
     part = record.select(outputs=[record.outputs[i] for i in np.flatnonzero(there)])
     for _ in range(ROUNDS):
-        model = autoregression(part, known[:, there], gone[:, there])
-        smooth = _smoothed(model, part.u, known[:, there], gone[:, there])
+        smooth = _refilled(part, known[:, there], gone[:, there])
         known[:, there] = np.where(np.isfinite(smooth), smooth, known[:, there])
     return replace(record, y=known), lost
 
@@ -136,6 +141,38 @@ def slow(lost: BoolArray) -> BoolArray:
     """Which channels are sampled at twice the record's interval or more, (ny,)."""
     spacing = [np.diff(np.flatnonzero(~column)) for column in lost.T]
     return np.array([len(each) > 0 and np.median(each) >= 2 for each in spacing])
+
+
+def _refilled(record: Record, y: Array, lost: BoolArray) -> Array:
+    """Outputs (N, ny), lost ones as autoregressions fitted to them smooth them.
+
+    Up to the turn one that runs back in time. Forward the first p samples are not predicted: one
+    that is lost is then what later innovations make of it, by coefficients that may be small.
+    """
+    turn = _turn(lost, _order(record))
+    ahead, behind = slice(turn, None), slice(len(y) - turn, None)
+    out = y.copy()
+    if lost[ahead].any():
+        out[ahead] = _smoothed(autoregression(record, y, lost), record.u, y, lost)[ahead]
+    if lost[:turn].any():
+        y, lost = y[::-1], lost[::-1]
+        back = replace(record, u=record.u[::-1], y=y)
+        smooth = _smoothed(autoregression(back, y, lost), back.u, y, lost)
+        out[:turn] = smooth[behind][::-1]
+    return out
+
+
+def _turn(lost: BoolArray, p: int) -> int:
+    """The first of p rows without a loss: as these are known, neither side needs the other.
+
+    Without such rows a known one near the middle, far from where either way begins.
+    """
+    known = ~lost.any(axis=1)
+    clear = np.flatnonzero(np.convolve(known, np.ones(p), "valid") > p - 0.5)
+    if len(clear):
+        return int(clear[0])
+    rows, middle = np.flatnonzero(known), len(lost) // 2
+    return int(rows[np.argmin(np.abs(rows - middle))]) if len(rows) else middle
 
 
 def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:
