@@ -25,6 +25,7 @@ from casid.samples import at_instants
 REACH = 0.25  # time [s] that the lags reach back, within these limits
 LAGS = (2, 10)
 PER_UNKNOWN = (12, 5)  # samples, and at least for the fewest lags
+TRUST = 9.0  # times the variance of what is interpolated, as the regression takes it
 ROWS = 20_000  # samples that it is fitted to
 ROUNDS = 2  # of fitting and filling
 SPAN = 9  # times the lags: samples whose covariance is looked at together
@@ -65,7 +66,7 @@ def autoregression(record: Record, y: Array, lost: BoolArray) -> Autoregression:
     seen[:, seen.sum(axis=0) < 2 * X.shape[1]] = True
     gone = np.concatenate([lost[rows - i].sum(axis=0) for i in range(1, p + 1)])
     gone = gone / np.maximum(size[: p * ny], 1e-100) ** 2
-    theta = _regressed(X / size, y[rows], seen, gone) / size[:, None]
+    theta = _regressed(X / size, y[rows], seen, gone, _doubts(y, lost)[rows]) / size[:, None]
     e = y[rows] - X @ theta
     # What is filled in fits better than what was measured.
     level = np.sqrt((e**2).mean(axis=0, where=seen) / np.maximum((e**2).mean(axis=0), 1e-300))
@@ -87,30 +88,59 @@ def _order(record: Record) -> int:
     return max(1, min(p, most, max(few, LAGS[0])))
 
 
-def _regressed(X: Array, y: Array, seen: BoolArray, gone: Array) -> Array:
+def _regressed(X: Array, y: Array, seen: BoolArray, gone: Array, doubts: Array) -> Array:
     """Least squares of every output (N, ny) on X (N, n), over the rows where it was seen.
 
     ``gone`` says how many samples of each past output were filled in, in squared units of X. As
     each is uncertain by about an innovation, it counts less: what is filled in follows the model,
-    which would else follow what was filled in.
+    which would else follow what was filled in. Rows that were not seen count by the variance of
+    what stands there, ``doubts`` (N, ny): where losses keep step with the inputs, they alone hold
+    what an input does at once.
     """
     if seen.all() and not gone.any():
         return np.linalg.lstsq(X, y, rcond=1e-10)[0]
     U, s, Vt = np.linalg.svd(X, full_matrices=False)
     kept = s > 1e-10 * s[0]
     U, V = U[:, kept], Vt[kept].T / s[kept]
-    slopes = U.T @ np.where(seen, y, 0.0)
-    unseen = [U[~there] for there in seen.T]
-    normal = [
-        (np.eye(U.shape[1]) - Q.T @ Q, g) for Q, g in zip(unseen, slopes.T, strict=True)
-    ]  # U'U over the rows seen: columns of U are orthonormal
     theta, unsure = np.zeros((X.shape[1], y.shape[1])), np.zeros(X.shape[1])
+    count = np.asarray(seen, dtype=float)
     for _ in range(2):
         more = V.T @ (unsure[:, None] * V) + 1e-9 * np.eye(V.shape[1])
-        theta = V @ np.column_stack([np.linalg.solve(H + more, g) for H, g in normal])
+        theta = V @ np.column_stack(
+            [_weighed(U, more, x, w) for x, w in zip(y.T, count.T, strict=True)]
+        )
         power = ((y - X @ theta) ** 2).mean(axis=0, where=seen)
         unsure[: len(gone)] = gone * np.tile(power, len(gone) // len(power))
+        count = np.where(seen, 1.0, power / np.maximum(doubts, np.maximum(power, 1e-300)))
     return np.asarray(theta)
+
+
+def _weighed(U: Array, more: Array, x: Array, count: Array) -> Array:
+    """Least squares of x (N,) on orthonormal columns U (N, n), rows weighed by ``count`` (N,)."""
+    less = count < 1
+    H = np.eye(U.shape[1]) - U[less].T @ ((1 - count[less])[:, None] * U[less])
+    return np.asarray(np.linalg.solve(H + more, U.T @ (count * x)))
+
+
+def _doubts(y: Array, lost: BoolArray) -> Array:
+    """Variance (N, ny) of lost samples as interpolated between neighbours, infinite of others.
+
+    By how far samples seen are from the mean of those as far away on both sides: of splines less.
+    It is taken for larger by `TRUST`, as nothing is measured there.
+    """
+    doubts = np.full(y.shape, np.inf)
+    for i in np.flatnonzero(lost.any(axis=0) & ~lost.all(axis=0)):
+        seen, at = np.flatnonzero(~lost[:, i]), np.flatnonzero(lost[:, i])
+        at = at[(at > seen[0]) & (at < seen[-1])]
+        after = np.searchsorted(seen, at)
+        far = np.maximum(at - seen[after - 1], seen[after] - at)
+        known = np.where(lost[:, i], np.nan, y[:, i])
+        for m in np.unique(far[far <= LAGS[1]]):
+            off = known[m:-m] - (known[: -2 * m] + known[2 * m :]) / 2
+            off = off[np.isfinite(off)]
+            if len(off):
+                doubts[at[far == m], i] = TRUST * np.mean(off**2)
+    return doubts
 
 
 def filled(record: Record) -> tuple[Record, BoolArray]:

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.optimize
-from truths import uh60
+import scipy.signal
+from truths import closed_roll, uh60
 from truths.systems import innovation_record
 
 from casid import Record
@@ -114,3 +116,45 @@ def test_channels_next_to_nothing_are_filled_in_without_overflow(tiny):
     small = replace(gone, u=tiny * gone.u, y=np.column_stack([gone.y[:, 0], tiny * gone.y[:, 1]]))
     whole, _ = filled(small)
     assert np.isfinite(whole.y).all()
+
+
+def drifting(rng, N=800, pole=0.92, white=0.5):
+    """Two outputs of first-order noise of variance 1 and white noise beside it, and an input."""
+    e = np.sqrt(1 - pole**2) * rng.standard_normal((N + 300, 2))
+    y = scipy.signal.lfilter([1.0], [1.0, -pole], e, axis=0)[300:]
+    t, u = 0.02 * np.arange(N), rng.standard_normal((N, 1))
+    return Record(t, u, y + white * rng.standard_normal((N, 2)), ("u",), ("p", "r"))
+
+
+@pytest.mark.second
+@pytest.mark.parametrize("rows", [slice(0, 1), slice(2, 5), slice(0, 25), slice(0, None, 7)])
+def test_the_beginning_is_filled_in_as_surely_as_the_rest_tells_of_it(rows):
+    n, early = 150, 25
+    covariance = scipy.linalg.toeplitz(0.92 ** np.arange(n)) + 0.25 * np.eye(n)
+    lost = np.zeros(n, dtype=bool)
+    lost[rows] = True
+    # A Gaussian given all others has the inverse of its own block of the inverse covariance.
+    own = np.linalg.inv(np.linalg.inv(covariance)[np.ix_(lost, lost)])
+    std = np.sqrt(np.diag(own))[: lost[:early].sum()]
+    off = []
+    for seed in range(20):
+        record = drifting(np.random.default_rng(seed))
+        found = filled(lose(record, rows))[0].y[:early][lost[:early]]
+        off.append((found - record.y[:early][lost[:early]]) / std[:, None])
+    # 40 values or more: the root of their mean square is known to a ninth.
+    assert np.sqrt(np.mean(np.square(off))) < 1.35
+
+
+@pytest.mark.second
+def test_losses_in_step_with_the_inputs_are_filled_in():
+    # Its sticks step every 35 samples: what they do at once is in lost rows alone.
+    noise = np.array(list(closed_roll.NOISE.values()))
+
+    def off(first, seed):
+        record = closed_roll.campaign(seed, count=1)[0]
+        rows = slice(first, None, 7)
+        return ((filled(lose(record, rows))[0].y - record.y) / noise)[rows]
+
+    seeds = (1, 2, 3)
+    size = {k: np.sqrt(np.mean([off(k, seed) ** 2 for seed in seeds])) for k in (0, 3)}
+    assert size[0] < 1.5 * size[3]

@@ -152,6 +152,19 @@ def test_lost_samples_are_filled_in_and_lost_channels_do_without():
     assert np.abs(z).max() < 4
 
 
+@pytest.mark.second
+@pytest.mark.filterwarnings("error::casid.DataWarning")
+def test_samples_lost_by_the_clock_cost_what_they_tell_and_no_more():
+    records = campaign(5)
+    seventh = np.repeat(np.arange(records[0].N)[:, None] % 7 == 0, 3, axis=1)
+    spoiled = [record.mask(seventh) for record in records]
+    whole = output_error(TRUTH, records, domain="frequency")
+    fit = output_error(TRUTH, spoiled, domain="frequency")
+    # An estimate of 1/7 less data moves by sqrt(7/6 - 1) = 0.41 of its standard error.
+    z = [(fit[n].value - whole[n].value) / whole[n].cramer_rao for n in NAMES]
+    assert np.abs(z).max() < 4 * 0.41
+
+
 def test_what_records_do_not_tell_is_named():
     still = [replace(record, u=record.u * [1.0, 0.0]) for record in CLEAN]
     rng = np.random.default_rng(0)
