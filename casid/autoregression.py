@@ -251,7 +251,19 @@ def apart(
     return slope / sharp, 1 / (size * np.sqrt(sharp))
 
 
-def unsure(model: Autoregression, whole: Record, lost: BoolArray, marks: BoolArray) -> Array:
+def unsure(whole: Record, lost: BoolArray, marks: BoolArray) -> Array:
+    """Standard deviations (N, ny) of what `filled` makes of these lost samples, 0 elsewhere."""
+    late = marks & (np.arange(whole.N) >= _turn(lost, _order(whole)))[:, None]
+    early, std = marks & ~late, np.zeros(lost.shape)
+    if late.any():
+        std += _spread(autoregression(whole, whole.y, lost), whole, lost, late)
+    if early.any():
+        back, gone = replace(whole, u=whole.u[::-1], y=whole.y[::-1]), lost[::-1]
+        std += _spread(autoregression(back, back.y, gone), back, gone, early[::-1])[::-1]
+    return std
+
+
+def _spread(model: Autoregression, whole: Record, lost: BoolArray, marks: BoolArray) -> Array:
     """Standard deviations (N, ny) of what `_smoothed` makes of these lost samples, 0 elsewhere."""
     normal, _ = _normal(model, whole.u, whole.y, lost)
     own = np.flatnonzero(marks[lost])

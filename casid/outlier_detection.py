@@ -148,7 +148,7 @@ def _unexpected(record: Record, marks: BoolArray) -> tuple[BoolArray, Array, Arr
     """Samples far off what a fit without the marked ones expects (N, ny), that, and its limits."""
     whole, lost = filled(record.mask(marks))
     limit = np.nanmedian(np.where(lost, np.nan, _judged(whole, lost)[1]), axis=0)
-    wide = FAR * unsure(autoregression(whole, whole.y, lost), whole, lost, marks)
+    wide = FAR * unsure(whole, lost, marks)
     far = np.abs(record.y - whole.y) > GROSS / FAR * np.hypot(limit, wide)
     return np.asarray(far), whole.y, limit
 
