@@ -141,5 +141,5 @@ def _whitener(fit: AnyFit, A: Array) -> tuple[Array, Array]:
     # others known, which is the least one that moves can have but for ties.
     unit = 1 / np.where(sizes > SMALLEST * np.nan_to_num(alone), sizes, np.inf)
     values, vectors = np.linalg.eigh(A @ P @ A.T * np.outer(unit, unit))
-    free = values > SMALLEST * max(values.max(), SMALLEST)
+    free = values > max(SMALLEST * values.max(), ROUNDING)
     return unit[:, None] * vectors[:, free] / np.sqrt(values[free]), A @ V @ A.T

@@ -87,6 +87,21 @@ def test_a_variance_that_is_but_rounding_does_not_count(fit):
     np.testing.assert_allclose(weights(held, np.eye(3)), expected, rtol=1e-6)
 
 
+def test_a_combination_that_is_held_already_does_not_count_whatever_rounding_leaves(fit):
+    across = np.array([[0.5, -0.5, 0.0], [-0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])  # a + b is held
+    P = across @ fit.notes.cramer_rao @ across
+    for left in (0.0, 3e-16, -3e-16):
+        rounded = P + left * P[0, 0] * np.diag([1.0, 0.0, 0.0])
+        held = replace(
+            fit,
+            covariance=across @ fit.covariance @ across,
+            notes=replace(fit.notes, cramer_rao=rounded),
+        )
+        assert not len(weights(held, np.array([[1.0, 1.0, 0.0]])))
+        assert len(weights(held, np.array([[1.0, -1.0, 0.0]]))) == 1
+        assert ratio_p_value(held, np.array([[1.0, 1.0, 0.0]]), 1e-15) == 1.0
+
+
 def test_a_price_is_as_surprising_as_its_multiplier_is_many_sigmas():
     X, y = least_squares()
     x, C = np.linalg.lstsq(X, y)[0], np.linalg.inv(X.T @ X)
